@@ -60,7 +60,7 @@ $(READY): pyproject.toml
 	fi
 	@if [ -f .ci/system-libraries ]; then sh .ci/system-libraries; fi
 	@echo 'setup: pip installs the packages into $(VENV): the first time some minutes, and 3 GB'
-	@$(PY) -m pip install -qq --editable '.[dev]' || \
+	@$(PY) -m pip install -qq --no-compile --editable '.[dev]' || \
 		{ echo 'setup: pip could not install the packages; its reason stands above (no network?)' >&2; exit 1; }
 	@touch $@
 	@echo 'setup: ready'

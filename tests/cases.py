@@ -1,9 +1,13 @@
-"""Cases of parametrised tests: which of them a default run takes, and which are left to `make test-slow`."""
+"""Cases of parametrised tests: which of them a default run takes, and which are left to `make test-slow`; short names
+of fixtures' types."""
 
 from collections.abc import Collection, Iterable
 from typing import Any
 
 import pytest
+
+Capture = pytest.CaptureFixture[str]
+Patch = pytest.MonkeyPatch
 
 
 def slow(*values: Any) -> Any:

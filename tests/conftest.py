@@ -1,10 +1,12 @@
 """What all tests share. A GPU machine may lack rerun, open3d, pyserial and tyro: nothing here imports them."""
 
+import fcntl
 import gc
 import importlib.util
 import os
 import signal
-from collections.abc import Generator
+import tempfile
+from collections.abc import Generator, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -20,27 +22,51 @@ os.environ["MPLBACKEND"] = "Agg"
 os.environ["RUST_LOG"] = "off"  # rerun's own chatter
 transport.WRITE_TIMEOUT_S = PATIENCE_S  # a thread that a busy machine stops in the middle of a write has not failed
 
+PACKAGES = {"warp", "tyro", "rerun", "open3d", "serial", "cv2", "sklearn", "skfem", "threadpoolctl"}
+"""Without which the other tests run."""
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 """Real recordings that are too large to be kept in the repository; they lie beside a checkout where there are any."""
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Generator[None, object, object]:
-    """Python looks for garbage neither while thousands of tests are collected nor later among what was collected."""
-    gc.disable()
-    try:
-        return (yield)
-    finally:
-        gc.freeze()
-        gc.enable()
+    """Of several test processes the first collects alone: its assertions are then rewritten for all. Python looks for
+    garbage neither while thousands of tests are collected nor later among what was collected."""
+    run = os.environ.get("PYTEST_XDIST_TESTRUNUID", str(os.getpid()))
+    with (Path(tempfile.gettempdir()) / f"deformscope-tests-{run}.lock").open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            fcntl.flock(lock, fcntl.LOCK_SH)
+        gc.disable()
+        try:
+            return (yield)
+        finally:
+            Path(lock.name).unlink(missing_ok=True)
+            gc.freeze()
+            gc.enable()
+
+
+class OptionalModule(pytest.Module):
+    """Skipped where a package that it imports is not installed."""
+
+    def collect(self) -> Iterable[pytest.Item | pytest.Collector]:
+        try:
+            return super().collect()
+        except self.CollectError as error:
+            if not isinstance(error.__cause__, ModuleNotFoundError) or error.__cause__.name not in PACKAGES:
+                raise
+            pytest.skip(f"no {error.__cause__.name} here", allow_module_level=True)
+
+
+def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> pytest.Module:
+    return OptionalModule.from_parent(parent, path=module_path)
 
 
 def pytest_configure() -> None:
     """Of several test processes one compiles a module of kernels while the others wait; warp would let each do so."""
     if "PYTEST_XDIST_WORKER" not in os.environ or importlib.util.find_spec("warp") is None:
         return
-    import fcntl
-
     import warp as wp
 
     plain = wp.Module.load

@@ -310,7 +310,7 @@ import importlib, sys
 from deformscope.cli import COMMANDS
 for command in COMMANDS.values():
     importlib.import_module(command.module)
-heavy = "open3d sklearn scipy.stats matplotlib can mcap rosbags ray".split()
+heavy = "open3d sklearn skfem scipy.stats matplotlib can mcap rosbags ray".split()
 print(sorted(set(heavy) & set(sys.modules)))
 """
     _prints(script, "[]\n")

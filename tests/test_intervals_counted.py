@@ -1,5 +1,6 @@
 """Every interval that a result declares has a count behind it, or is called an estimate where it is shown."""
 
+import contextlib
 import dataclasses
 import importlib
 import pkgutil
@@ -8,12 +9,8 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import pytest
 
-pytest.importorskip("warp")
-pytest.importorskip("sklearn")
-
-import deformscope
+from deformscope import runs, stages
 from deformscope.results.declared import quantities
 from deformscope.results.render import format_value
 from deformscope.stages.map.exploration import InclusionsResult, MapRegion
@@ -26,12 +23,10 @@ HEADING = "## Which study counts each interval"
 def with_ends() -> set[str]:
     """`Class.name` of all that has two ends: fields and properties of results that are called intervals, or that hold a
     value with one. The laboratory's own and what only carries a result on are left out."""
-    for module in pkgutil.walk_packages(deformscope.__path__, "deformscope."):
-        if not module.name.endswith("__main__"):
-            try:
+    for package in (stages, runs):
+        for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            with contextlib.suppress(ImportError):  # an optional package is not there
                 importlib.import_module(module.name)
-            except ImportError:  # an optional package is not there
-                continue
     found = set()
     modules = [one for name, one in sys.modules.items() if name.startswith(("deformscope.stages", "deformscope.runs"))]
     for kind in {kind for module in modules for kind in vars(module).values() if dataclasses.is_dataclass(kind)}:

@@ -10,8 +10,6 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("tyro")
-
 from deformscope.bench import report, starting
 from deformscope.bench.plan import BenchPlan, Note
 from deformscope.bench.timing import Contestant, Timing, TimingRow, compare
@@ -209,12 +207,18 @@ def test_a_gpu_that_is_not_there_is_said() -> None:
     assert main(["bench", "--device", "cuda"]) == EXIT_INPUT
 
 
+LACKING = ("rich", "tyro", "rerun", "open3d", "cv2", "sklearn", "threadpoolctl", "msgspec", "matplotlib")
+
+
+def test_it_is_imported_where_numpy_scipy_and_warp_are_all_there_is() -> None:
+    assert run_module("--help", without=LACKING).returncode == 0
+
+
 @pytest.mark.slow
 def test_it_runs_where_numpy_scipy_and_warp_are_all_there_is() -> None:
-    lacking = ("rich", "tyro", "rerun", "open3d", "cv2", "sklearn", "threadpoolctl", "msgspec", "matplotlib")
     ran = run_module(
         *("--quick", "--device", "cpu", "--sizes", "64", "--only", "step,memory,relax", "--repeats", "1"),
-        without=lacking,
+        without=LACKING,
     )
     assert (ran.returncode, "Traceback" in ran.stderr) == (0, False), ran.stderr
     assert json.loads(ran.stdout)["complete"] is True

@@ -15,9 +15,6 @@ import cv2
 import numpy as np
 import pytest
 
-pytest.importorskip("rerun")
-pytest.importorskip("tyro")
-
 from deformscope.cli import main
 from deformscope.config import BetaConfig
 from deformscope.config.images import ImageOptions

@@ -16,9 +16,6 @@ from urllib.request import urlopen
 import pyarrow.parquet as pq
 import pytest
 
-pytest.importorskip("warp")
-pytest.importorskip("tyro")
-
 from deformscope.cli import main
 from deformscope.cli.sweep import find_sources
 from deformscope.config import SweepConfig

@@ -11,8 +11,6 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-pytest.importorskip("tyro")
-
 import deformscope as ds
 from deformscope.cli import main
 from deformscope.images import encode_png

@@ -16,8 +16,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("tyro")
-
 from deformscope import cli, config
 from deformscope.cli import common
 from deformscope.errors import InputError

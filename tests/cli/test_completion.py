@@ -10,8 +10,6 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("tyro")
-
 from deformscope.cli import main
 from deformscope.cli.completion import next_words
 from tests.patience import PATIENCE_S

@@ -9,8 +9,6 @@ from typing import Any
 
 import pytest
 
-pytest.importorskip("warp")
-
 import deformscope
 import deformscope.config
 from deformscope import library

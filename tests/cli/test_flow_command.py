@@ -7,8 +7,6 @@ import cv2
 import numpy as np
 import pytest
 
-pytest.importorskip("tyro")
-
 from deformscope.cli import main
 from deformscope.files.sources import open_source
 from tests.cli.recorded import assert_shows

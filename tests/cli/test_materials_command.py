@@ -8,9 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytest.importorskip("tyro")
-pytest.importorskip("warp")
-
 from deformscope.cli import main
 from deformscope.files.sources import open_source
 from deformscope.recording.reader import Replay

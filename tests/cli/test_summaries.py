@@ -9,8 +9,6 @@ import cv2
 import numpy as np
 import pytest
 
-pytest.importorskip("tyro")
-
 from deformscope.cli import main
 from deformscope.stages.msm import reference
 from tests.pictures.test_report import Page

@@ -1,5 +1,6 @@
 """`deformscope sweep` as a user calls it: each file once, whatever becomes of workers and of the command."""
 
+import contextlib
 import importlib.util
 import json
 import os
@@ -10,6 +11,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,15 +20,12 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-import deformscope_drivers
-
-pytest.importorskip("warp")
-pytest.importorskip("tyro")
-
 import deformscope as ds
+import deformscope_drivers
 from deformscope.cli import main
 from deformscope.cli.common import EXIT_LOSSES
 from deformscope.errors import InputError
+from deformscope.executor.local import HereWorker
 from deformscope.file_io import sample_path
 from deformscope.recording.ledger import add_discard, read_discards
 from tests.cases import slow
@@ -54,6 +53,15 @@ def pairs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "p10.npz").write_text("no pair")
     (folder / "notes.txt").write_text("no source")
     return folder
+
+
+@pytest.fixture
+def here(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Tasks are computed in this process, where it is not the worker that counts."""
+    threads = cv2.getNumThreads()
+    monkeypatch.setattr("deformscope.runs.sweep.open_workers", lambda *_, **__: contextlib.nullcontext(HereWorker()))
+    yield
+    cv2.setNumThreads(threads)
 
 
 def sweep(folder: Path, out: Path, *flags: str, command: list[str] = FIT) -> tuple[int, dict[str, Any]]:
@@ -105,11 +113,13 @@ def test_the_overview_shows_distributions_failures_and_links(swept: tuple[Path, 
     assert all((swept[0] / link).is_file() for link in links)
 
 
+@pytest.mark.usefixtures("here")
 def test_the_same_line_tries_again_what_failed_alone(swept: tuple[Path, int, dict[str, Any]], pairs: Path) -> None:
     status, found = sweep(pairs, swept[0], "--vary", "cluster-size=2,3", "--workers", "1")
     assert (status, found["computed"], found["done"]) == (EXIT_LOSSES, 2, 6)
 
 
+@pytest.mark.usefixtures("here")
 def test_other_settings_are_other_tasks_and_a_moved_file_is_none(
     swept: tuple[Path, int, dict[str, Any]], pairs: Path, tmp_path: Path
 ) -> None:
@@ -126,6 +136,7 @@ def test_other_settings_are_other_tasks_and_a_moved_file_is_none(
 
 
 @pytest.mark.slow  # the next test has such a file, too
+@pytest.mark.usefixtures("here")
 def test_files_that_are_written_have_a_name_for_each_task(tmp_path: Path) -> None:
     shutil.copy(PAIR, tmp_path / "a.npz")
     out = tmp_path / "out"
@@ -135,6 +146,7 @@ def test_files_that_are_written_have_a_name_for_each_task(tmp_path: Path) -> Non
     assert written.stem == pq.read_table(out / "results.parquet")["key"][0].as_py()
 
 
+@pytest.mark.usefixtures("here")
 def test_files_that_a_killed_worker_left_are_made_anew(tmp_path: Path) -> None:
     shutil.copy(PAIR, tmp_path / "a.npz")
     out = tmp_path / "out"
@@ -148,6 +160,7 @@ def test_files_that_a_killed_worker_left_are_made_anew(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("here")
 def test_what_decides_a_result_beside_the_file_makes_another_task(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -180,6 +193,7 @@ def seen(source: str, *, about: str) -> dict[str, Any]:
     return {"files": len(list(Path(about).iterdir())), "discarded": len(read_discards(Path(source)))}
 
 
+@pytest.mark.usefixtures("here")
 def test_a_command_that_ends_with_a_warning_is_marked(tmp_path: Path) -> None:
     shutil.copy(SHIPPED / "tension.rrd", tmp_path / "a.rrd")
     status, found = sweep(tmp_path, tmp_path / "out", "--workers", "1", command=["verify"])
@@ -302,6 +316,7 @@ def test_a_sweep_of_a_thousand_that_is_killed_three_times(tmp_path: Path, monkey
     killed_and_equal(tmp_path, 1000, monkeypatch)
 
 
+@pytest.mark.usefixtures("here")
 def test_a_function_of_the_library_is_swept(pairs: Path, tmp_path: Path) -> None:
     found = ds.sweep(
         ds.calibrate_beta, [pairs / "p1.npz"], out=tmp_path, vary={"cluster_size": [2, 3]}, workers=1, method="gradient"
@@ -322,6 +337,7 @@ def described(source: str, *, about: str) -> dict[str, Any]:
     }
 
 
+@pytest.mark.usefixtures("here")
 def test_a_file_among_the_options_that_changed_is_read_again(tmp_path: Path) -> None:
     about, source = tmp_path / "about.txt", tmp_path / "a.npz"
     shutil.copy(PAIR, source)
@@ -334,6 +350,7 @@ def test_a_file_among_the_options_that_changed_is_read_again(tmp_path: Path) -> 
         assert found.table["seconds"][0].as_py() >= 0.0
 
 
+@pytest.mark.usefixtures("here")
 def test_a_file_that_is_gone_or_of_any_name_ends_nothing(tmp_path: Path) -> None:
     about, odd = tmp_path / "about.txt", tmp_path / os.fsdecode(b"\xff.npz")
     about.write_text("words")

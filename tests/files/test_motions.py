@@ -6,8 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytest.importorskip("warp")
-
 from deformscope.errors import InputError
 from deformscope.files.motions import parse_motion
 from tests.stages.bodies import lattice

@@ -7,16 +7,17 @@ from typing import Any
 
 import pytest
 
-pytest.importorskip("warp")
-
 import deformscope as ds
 from deformscope.cli import main
+from deformscope.recording.facts import gather_facts
 
 SHIPPED = Path(__file__).resolve().parents[2] / "recordings"
 
 
 @pytest.fixture
-def recording(tmp_path: Path) -> Path:
+def recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Its content is read in this process, as by `tests.verified`."""
+    monkeypatch.setattr("deformscope.runs.verification.read_facts", gather_facts)
     for name in ("squeeze.rrd", "squeeze.rrd.ledger"):
         shutil.copy(SHIPPED / name, tmp_path)
     return tmp_path / "squeeze.rrd"

@@ -16,9 +16,6 @@ from typing import Any, get_args, get_origin, get_type_hints
 import numpy as np
 import pytest
 
-pytest.importorskip("tyro")
-pytest.importorskip("warp")
-
 import deformscope as ds
 from deformscope.cli import main
 from deformscope.config import BetaConfig, ExportConfig

@@ -5,8 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("warp")
-
 from deformscope.errors import InputError
 from deformscope.frames import Stream, WrenchFrame
 from deformscope.log.rig_layout import RIG, RigLayout

@@ -16,8 +16,6 @@ import msgspec
 import numpy as np
 import pytest
 
-pytest.importorskip("rerun")
-
 from deformscope.cli import main, parse
 from deformscope.config import BetaConfig, ThetaConfig
 from deformscope.config.images import ImageOptions

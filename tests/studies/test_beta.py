@@ -2,8 +2,6 @@
 
 import pytest
 
-pytest.importorskip("warp")
-
 from studies.beta import DisturbedCase, DisturbedOutcome, disturbed_rows, try_disturbed
 from studies.random_bodies import Outcome
 from studies.theta import SIDES, try_setting

@@ -11,9 +11,6 @@ import msgspec
 import numpy as np
 import pytest
 
-pytest.importorskip("warp")
-pytest.importorskip("tyro")
-
 from deformscope.cli import main as deformscope_main
 from deformscope.stages.fit.calibrate import Model, Observation
 from deformscope.stages.poke import stiffness_field

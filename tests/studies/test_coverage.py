@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("warp")
-
 from deformscope.stages.msm import clusters, reference
 from studies import random_bodies
 from studies.coverage import coverage_rows

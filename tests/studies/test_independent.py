@@ -5,8 +5,6 @@ from typing import get_args
 import numpy as np
 import pytest
 
-pytest.importorskip("warp")
-
 from studies.beta import OTHER, OTHER_SOLVER, DisturbedCase, try_disturbed
 from studies.doubt_rates import Data, DoubtCase, try_doubts
 from studies.independent import plane_elements, shape_matching

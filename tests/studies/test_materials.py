@@ -5,8 +5,6 @@ import json
 import numpy as np
 import pytest
 
-pytest.importorskip("warp")
-
 from studies.__main__ import main
 from studies.materials import HELD_S, PARAMETERS, RAMP_S, RELAXES, MotionKind, recovering, try_motion
 from studies.quantities import interval_rows

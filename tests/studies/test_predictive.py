@@ -5,8 +5,6 @@ import dataclasses
 import numpy as np
 import pytest
 
-pytest.importorskip("warp")
-
 from deformscope.arrays import FloatArray
 from deformscope.stages.fit.calibrate import FitOptions, Model, Observation, calibrate
 from studies.predictive import predict

@@ -6,9 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("warp")
-pytest.importorskip("tyro")
-
 from deformscope.cli import EXIT_INPUT
 from deformscope.stages.msm import reference
 from deformscope.stages.msm.clusters import lattice

@@ -10,9 +10,6 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-pytest.importorskip("warp")
-pytest.importorskip("tyro")
-
 from deformscope.arrays import FloatArray
 from deformscope.cli import with_flags
 from deformscope.errors import InputError

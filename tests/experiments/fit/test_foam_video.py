@@ -6,9 +6,6 @@ import numpy as np
 import pytest
 from scipy.interpolate import RBFInterpolator
 
-pytest.importorskip("warp")
-pytest.importorskip("cv2")
-
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.experiments.fit.foam_video import ParticleOptions, foam_video

@@ -3,10 +3,6 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("warp")
-pytest.importorskip("cv2")
-pytest.importorskip("rerun")
-
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.experiments.fit.foam_video import ParticleOptions

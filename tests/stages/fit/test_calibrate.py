@@ -7,8 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("warp")
-
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.fit.calibrate import FitOptions, Model, Observation, calibrate

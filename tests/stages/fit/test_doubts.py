@@ -7,8 +7,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-pytest.importorskip("warp")
-
 from deformscope.arrays import FloatArray
 from deformscope.stages.fit.calibrate import FitOptions, Model, Observation, calibrate
 from deformscope.stages.fit.doubts import (

@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("warp")
-
 from deformscope.arrays import FloatArray
 from deformscope.stages.fit.dynamics import MovingSearch, Pace, step_through
 from deformscope.stages.fit.model import Model

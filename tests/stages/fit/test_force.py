@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("warp")
-
 from deformscope.arrays import FloatArray
 from deformscope.stages.fit.calibrate import FitOptions, Model, Observation, calibrate
 from deformscope.stages.fit.force import FORCE_SHARE, Stiffness, stiffness, stiffness_posterior

@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("warp")
-
 from deformscope.stages.fit.held_out import FOLDS, HeldOut, blocks_of, difference, hold_out, separates
 from deformscope.stages.fit.model import Model
 from deformscope.stages.fit.search import Search

@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("warp")
-
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.fit.calibrate import Model, Observation

@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("warp")
-
 from deformscope.stages.fit.calibrate import FitOptions, Model, Observation, calibrate
 from deformscope.stages.fit.outliers import FALSE_ALARMS, outlying
 from tests.stages.bodies import SPACING_M, lattice, pushed

@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("warp")
-
 from deformscope.stages.fit.calibrate import Calibration, FitOptions, Model, Observation, calibrate
 from tests.stages.bodies import SPACING_M, pushed
 

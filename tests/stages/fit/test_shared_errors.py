@@ -6,8 +6,6 @@ import typing
 import numpy as np
 import pytest
 
-pytest.importorskip("warp")
-
 from deformscope.stages.fit.calibrate import FitOptions, Model, calibrate
 from deformscope.stages.fit.search import Search
 from deformscope.stages.fit.shared_errors import FULLY, Shared, for_posterior, patches, shared_part, together, weights

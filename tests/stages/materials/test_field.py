@@ -19,8 +19,6 @@ from studies.field_bodies import SPACING_M, elastic_pair
 from studies.independent.orthotropic_elements import OrthotropicLaw, PlateWay, isotropic, plate
 from tests.cases import slow
 
-pytest.importorskip("skfem")
-
 SMALL = (11, 8)
 
 

@@ -5,8 +5,6 @@ import dataclasses
 import numpy as np
 import pytest
 
-pytest.importorskip("warp")
-
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.fit.motion import Motion

@@ -4,9 +4,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-
-pytest.importorskip("warp")
-
 import warp as wp
 
 from deformscope.stages.msm.anderson_kernels import anderson_kernels_for

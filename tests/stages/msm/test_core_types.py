@@ -8,9 +8,6 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("threadpoolctl")
-pytest.importorskip("warp")
-
 ROOT = Path(__file__).resolve().parents[3]
 
 NEEDS = {"Haswell": "avx2", "SkylakeX": "avx512f"}

@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("warp")
-
 from deformscope.stages.msm import iteration
 from deformscope.stages.msm.fit import LARGEST, _followed, fit_beta
 from deformscope.stages.msm.iteration import Newton

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-pytest.importorskip("warp")
-
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.stages.msm import clusters, solver
 from deformscope.stages.msm.clusters import Clusters

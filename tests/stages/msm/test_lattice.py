@@ -6,9 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-
-pytest.importorskip("warp")
-
 import warp as wp
 
 from deformscope.arrays import FloatArray, IntArray

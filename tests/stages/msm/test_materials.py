@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("warp")
-
 from deformscope.arrays import FloatArray
 from deformscope.stages.msm import clusters, reference
 from deformscope.stages.msm.materials import AxisBeta, axis_weights

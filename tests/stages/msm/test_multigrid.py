@@ -5,8 +5,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytest.importorskip("warp")
-
 from deformscope.arrays import FloatArray
 from deformscope.stages.msm import clusters, iteration, multigrid, reference
 from deformscope.stages.msm.multigrid import Multigrid

@@ -10,8 +10,6 @@ import pytest
 from scipy.sparse import csc_array, identity
 from scipy.sparse.linalg import spsolve
 
-pytest.importorskip("warp")
-
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.stages.msm import clusters, multigrid, reference
 from deformscope.stages.msm.clusters import Clusters

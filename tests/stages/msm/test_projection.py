@@ -8,11 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.optimize import minimize
-
-pytest.importorskip("warp")
-
 import warp as wp
+from scipy.optimize import minimize
 
 from deformscope.arrays import FloatArray
 from deformscope.stages.msm import clusters, reference

@@ -6,8 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytest.importorskip("warp")
-
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.stages.msm import clusters, reference
 from deformscope.stages.msm.reduced import Equilibrium, OneCluster

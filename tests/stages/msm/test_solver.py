@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-pytest.importorskip("warp")
-
 from deformscope.stages.msm import clusters, reference, solver
 from deformscope.stages.msm.reference import Basis
 from deformscope.stages.msm.solver import Msm, Precision

@@ -7,8 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytest.importorskip("warp")
-
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.stages.msm import clusters, iteration, reference
 from deformscope.stages.msm.clusters import Clusters

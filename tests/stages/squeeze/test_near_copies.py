@@ -7,8 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("sklearn")
-
 from deformscope.files.classifier_file import classifier_arrays, load_classifier, save_classifier
 from deformscope.runs.classification import ClassificationResult, format_told
 from deformscope.runs.classifier_check import format_promise

@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("warp")
-
 from deformscope.stages.msm import clusters
 from deformscope.stages.msm.reference import Volume
 from deformscope.stages.msm.solver import Msm

@@ -9,8 +9,6 @@ import cv2
 import numpy as np
 import pytest
 
-pytest.importorskip("warp")
-
 from deformscope.errors import InputError
 from deformscope.stages.fit.distance import distances
 from deformscope.stages.fit.model import Model, Observation

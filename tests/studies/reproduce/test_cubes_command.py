@@ -7,9 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("tyro")
-pytest.importorskip("warp")
-
 from deformscope.cli import EXIT_INPUT
 from studies.__main__ import main
 from studies.reproduce import pressed_cubes as cubes

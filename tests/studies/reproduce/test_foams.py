@@ -6,9 +6,6 @@ import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
-pytest.importorskip("warp")
-pytest.importorskip("cv2")
-
 from deformscope.lab.foam import FOAMS
 from studies.reproduce import foam_fits as foams
 from studies.reproduce.foam_fits import (

@@ -6,8 +6,6 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("tyro")
-
 from deformscope.cli import main as deformscope_main
 from studies.__main__ import main
 
