@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from deformscope.cli import COMMANDS
+from tests.cases import Capture, Patch
 from tests.cli.fake_bench import use_fake_bench
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -110,7 +111,7 @@ def test_walks_pass_no_more_than_the_page_says() -> None:
     ],
 )
 def test_the_tracer_counts_what_a_datum_is_given_to(
-    body: str, counts: tuple[int, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    body: str, counts: tuple[int, ...], tmp_path: Path, monkeypatch: Patch
 ) -> None:
     tool = runpy.run_path(str(ROOT / "tools" / "walks.py"))
     monkeypatch.setitem(tool["walked"].__globals__, "ROOT", tmp_path)
@@ -126,9 +127,7 @@ def test_the_tracer_counts_what_a_datum_is_given_to(
 
 
 @pytest.mark.parametrize("scene", ["in a moment", pytest.param("simulated", marks=pytest.mark.slow)])
-def test_the_readmes_python_runs(
-    scene: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_readmes_python_runs(scene: str, capsys: Capture, monkeypatch: Patch) -> None:
     """Unchanged, on a bench that is explored in a moment; or on the scene itself, with fewer touches. And an
     exploration's result is what the library says it is."""
     pytest.importorskip("warp")

@@ -22,7 +22,7 @@ from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.jaco.chains import J2N6S300
 from deformscope_drivers.jaco.config import JacoConfig
 from deformscope_drivers.optoforce.device import Optoforce
-from tests.cases import slow
+from tests.cases import Capture, Patch, slow
 from tests.cli.rig_on_a_simulated_clock import use_a_simulated_clock
 from tests.cli.test_explore_arms import RIGS
 from tests.drivers.arm.test_homing import Unhomed, moves_home, until
@@ -48,7 +48,7 @@ BOX = "[workspace]\nlow_m = [-0.40, -0.66, 0.0]\nhigh_m = [0.45, 0.10, 0.75]\n"
 
 
 @pytest.fixture
-def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def rig(tmp_path: Path, monkeypatch: Patch) -> Path:
     use_a_simulated_clock(monkeypatch)
     path = tmp_path / "rig.toml"
     path.write_text(RIG + BOX)
@@ -99,17 +99,13 @@ def test_a_jog_is_stopped_by_the_supervisor_at_the_box(rig: Path) -> None:
         jogged(rig, [(5 + 3 * count, "r") for count in range(200)])
 
 
-def test_go_by_an_arm_without_joint_torques_begins_with_a_finger_on_its_tip(
-    rig: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_go_by_an_arm_without_joint_torques_begins_with_a_finger_on_its_tip(rig: Path, capsys: Capture) -> None:
     rig.write_text(RIGS["kuka"])
     assert main(["arm", "go", str(rig), "--above", "0.3,0.2", "--height", "0.12"]) == 0
     assert "ok  force sensor: finger" in capsys.readouterr().err
 
 
-def test_a_device_that_fails_at_closing_is_said(
-    rig: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_device_that_fails_at_closing_is_said(rig: Path, monkeypatch: Patch, capsys: Capture) -> None:
     close = Optoforce.close
 
     def fail(device: Optoforce) -> None:
@@ -133,7 +129,7 @@ def interrupted() -> Iterator[str]:
 
 @pytest.mark.parametrize("by", [128 + signal.SIGINT, slow(2)], ids=["Ctrl-C", "supervisor"])
 def test_a_jog_that_is_stopped_is_recorded_whole(
-    by: int, rig: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    by: int, rig: Path, tmp_path: Path, monkeypatch: Patch, capsys: Capture
 ) -> None:
     keys = interrupted()
     if by == 2:
@@ -153,7 +149,7 @@ def test_go_brings_the_tip_over_a_place(rig: Path, tmp_path: Path) -> None:
     assert json.loads(found.read_text())["center_m"] == pytest.approx([0.2, 0.15, 0.05 + 0.12 + 0.01], abs=3e-3)
 
 
-def test_where_it_is_and_home(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_where_it_is_and_home(tmp_path: Path, capsys: Capture) -> None:
     """On the driver's own thread, with a double behind it."""
     path, found = tmp_path / "rig.toml", tmp_path / "where.json"
     path.write_text('[devices.arm]\ndriver = "jaco"\ndouble = true\n')
@@ -167,7 +163,7 @@ def test_where_it_is_and_home(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert "--yes" in capsys.readouterr().err
 
 
-def test_the_double_of_a_bench_goes_home(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_double_of_a_bench_goes_home(tmp_path: Path, capsys: Capture) -> None:
     """Whoever leads it there lets go of it: it came home in no time at all."""
     path = tmp_path / "rig.toml"
     path.write_text('[devices.arm]\ndriver = "jaco"\ndouble = true\n')
@@ -176,9 +172,7 @@ def test_the_double_of_a_bench_goes_home(tmp_path: Path, capsys: pytest.CaptureF
 
 
 @pytest.mark.parametrize("words", [["where"], ["home", "--yes"]])
-def test_what_is_wrong_with_an_arm_is_refused_in_a_line(
-    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_wrong_with_an_arm_is_refused_in_a_line(words: list[str], tmp_path: Path, capsys: Capture) -> None:
     path = tmp_path / "rig.toml"
     path.write_text('[devices.arm]\ndriver = "jaco"\nown_process = false\n')
     assert main(["arm", words[0], str(path), *words[1:]]) == 2
@@ -188,7 +182,7 @@ def test_what_is_wrong_with_an_arm_is_refused_in_a_line(
 
 
 @pytest.fixture
-def unhomed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[str, Path]:
+def unhomed(tmp_path: Path, monkeypatch: Patch) -> tuple[str, Path]:
     """A rig whose Jaco, in its own process, was just switched on; and the file of the calls to its library."""
     calls = tmp_path / "calls"
     calls.touch()
@@ -203,9 +197,7 @@ def unhomed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[str, Path]
     return str(path), calls
 
 
-def test_an_arm_that_was_not_homed_is_not_ok_and_is_homed(
-    unhomed: tuple[str, Path], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_arm_that_was_not_homed_is_not_ok_and_is_homed(unhomed: tuple[str, Path], capsys: Capture) -> None:
     """Through its own process: what `doctor` and `arm where` advise works."""
     rig, _ = unhomed
     assert main(["doctor", rig, "--seconds", "0.1"]) == 2
@@ -218,7 +210,7 @@ def test_an_arm_that_was_not_homed_is_not_ok_and_is_homed(
     assert "the arm is at home" in capsys.readouterr().err
 
 
-def test_ctrl_c_stops_an_arm_on_its_way_home(unhomed: tuple[str, Path], capsys: pytest.CaptureFixture[str]) -> None:
+def test_ctrl_c_stops_an_arm_on_its_way_home(unhomed: tuple[str, Path], capsys: Capture) -> None:
     rig, calls = unhomed
 
     def interrupt() -> None:
@@ -235,7 +227,7 @@ def test_ctrl_c_stops_an_arm_on_its_way_home(unhomed: tuple[str, Path], capsys: 
     assert float(lines[-1].split()[2]) - J2N6S300.home_deg[0] > 1.0, "it was home by then"
 
 
-def test_an_arm_without_a_home_is_not_sent_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_arm_without_a_home_is_not_sent_there(tmp_path: Path, capsys: Capture) -> None:
     path = tmp_path / "rig.toml"
     path.write_text('[devices.arm]\ndriver = "kuka"\nmodel = "kr6r900sixx"\ndouble = true\n')
     assert main(["arm", "home", str(path), "--yes"]) == 2

@@ -14,6 +14,7 @@ from deformscope.bench import report, starting
 from deformscope.bench.plan import BenchPlan, Note
 from deformscope.bench.timing import Contestant, Timing, TimingRow, compare
 from deformscope.cli import EXIT_INPUT, EXIT_INTERRUPTED, main
+from tests.cases import Capture, Patch
 from tests.patience import PATIENCE_S
 
 SHORT = ["bench", "--quick", "--device", "cpu", "--sizes", "64", "--repeats", "3"]
@@ -25,7 +26,7 @@ OF_ROWS = {
 
 
 @pytest.fixture(autouse=True)
-def _in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def _in_a_folder_of_its_own(tmp_path: Path, monkeypatch: Patch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
@@ -43,7 +44,7 @@ def run_module(*args: str, without: tuple[str, ...] = ()) -> subprocess.Complete
 
 
 @pytest.mark.slow  # three rounds
-def test_a_table_and_all_of_it_as_json(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_table_and_all_of_it_as_json(capsys: Capture) -> None:
     assert main([*SHORT, "--only", "step", "--json", "bench.json"]) == 0
     out, err = capsys.readouterr()
     told = json.loads(Path("bench.json").read_text(encoding="utf-8"))
@@ -69,7 +70,7 @@ def test_a_table_and_all_of_it_as_json(capsys: pytest.CaptureFixture[str]) -> No
         )
     ],
 )
-def test_every_case_gives_rows(case: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_case_gives_rows(case: str, monkeypatch: Patch) -> None:
     case, _, compiling = case.partition(", ")
     if not compiling:  # what others have compiled is compiled no second time
         wp = pytest.importorskip("warp")
@@ -83,7 +84,7 @@ def test_every_case_gives_rows(case: str, monkeypatch: pytest.MonkeyPatch) -> No
     assert all(row["repeats"] == 1 and row["median"] > 0 for row in rows)
 
 
-def rows_as_measured(monkeypatch: pytest.MonkeyPatch, *samples: float) -> None:
+def rows_as_measured(monkeypatch: Patch, *samples: float) -> None:
     def measured(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
         yield TimingRow("step", "64 particles", "deformscope", "ms/step", samples)
 
@@ -94,7 +95,7 @@ def told_rows() -> list[dict[str, object]]:
     return list(json.loads(Path("bench.json").read_text(encoding="utf-8"))["rows"])
 
 
-def test_json_has_stdout_to_itself(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_has_stdout_to_itself(monkeypatch: Patch, capsys: Capture) -> None:
     rows_as_measured(monkeypatch, 2.0)
     assert main([*SHORT, "--json", "-"]) == 0
     told = json.loads(capsys.readouterr().out)
@@ -102,9 +103,7 @@ def test_json_has_stdout_to_itself(monkeypatch: pytest.MonkeyPatch, capsys: pyte
     assert all(row.keys() == OF_ROWS for row in told["rows"])
 
 
-def test_a_row_is_compared_with_an_earlier_run(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_row_is_compared_with_an_earlier_run(monkeypatch: Patch, capsys: Capture) -> None:
     rows_as_measured(monkeypatch, 2.0, 2.0, 2.1)
     assert main([*SHORT, "--json", "bench.json"]) == 0
     assert told_rows()[0]["against"] is None
@@ -116,21 +115,21 @@ def test_a_row_is_compared_with_an_earlier_run(
 
 
 @pytest.mark.parametrize("text", ["", "{}", '{"format": 99, "rows": []}', '{"format": 1, "rows": [{}]}', "[1]"])
-def test_an_earlier_run_that_is_none_is_refused(text: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_earlier_run_that_is_none_is_refused(text: str, capsys: Capture) -> None:
     Path("before.json").write_text(text, encoding="utf-8")
     assert main([*SHORT, "--against", "before.json"]) == EXIT_INPUT
     (line,) = capsys.readouterr().err.splitlines()
     assert "before.json" in line
 
 
-def test_samples_that_disagree_are_said(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_samples_that_disagree_are_said(monkeypatch: Patch, capsys: Capture) -> None:
     rows_as_measured(monkeypatch, 1.0, 2.0, 3.0)
     assert main([*SHORT, "--json", "bench.json"]) == 0
     assert told_rows()[0]["doubt"] == "samples spread by 50%"
     assert "spread by 50%" in " ".join(capsys.readouterr().out.split())
 
 
-def test_a_time_that_no_clock_gives_fails(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_time_that_no_clock_gives_fails(monkeypatch: Patch, capsys: Capture) -> None:
     rows_as_measured(monkeypatch, 1.0, -0.04, 1.0)
     assert main([*SHORT, "--json", "bench.json"]) == EXIT_INPUT
     assert str(told_rows()[0]["doubt"]).startswith("FAILED")
@@ -167,9 +166,7 @@ def test_contestants_take_turns_and_are_compared_within_rounds() -> None:
     assert second.costs == 1.5  # the middle one of 3/1, 8/2 and 8/4, for two steps instead of one
 
 
-def test_what_was_measured_is_kept_when_it_is_interrupted(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_was_measured_is_kept_when_it_is_interrupted(monkeypatch: Patch, capsys: Capture) -> None:
     def interrupted(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
         yield TimingRow("step", "64 particles", "deformscope", "ms/step", (1.5,))
         raise KeyboardInterrupt
@@ -194,7 +191,7 @@ def test_what_was_measured_is_kept_when_it_is_interrupted(
         (["--repeats", "0"], "1 or more"),
     ],
 )
-def test_what_cannot_be_measured_is_refused(args: list[str], told: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_cannot_be_measured_is_refused(args: list[str], told: str, capsys: Capture) -> None:
     assert main(["bench", *args]) == EXIT_INPUT
     (line,) = capsys.readouterr().err.splitlines()
     assert told in line

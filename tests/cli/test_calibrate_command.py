@@ -26,6 +26,7 @@ from deformscope.recording.reader import Replay
 from deformscope.runs import replay_result
 from deformscope.stages.fit.estimate import Posterior
 from deformscope.stages.msm import reference
+from tests.cases import Capture, Patch
 from tests.rounding import differing_by_more
 from tests.stages import reference_states
 from tests.stages.bodies import pushed
@@ -68,12 +69,12 @@ def frames(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def run_json(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> Any:
+def run_json(arguments: list[str], capsys: Capture) -> Any:
     assert main([*arguments, *FAST, "--json", "-"]) == 0, capsys.readouterr().err
     return json.loads(capsys.readouterr().out)
 
 
-def failure(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+def failure(arguments: list[str], capsys: Capture) -> str:
     assert main(arguments) == 2
     shown = capsys.readouterr()
     assert shown.out == ""
@@ -85,7 +86,7 @@ def failure(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
 # What comes out ------------------------------------------------------------------------------------------------------
 
 
-def test_pair_json_is_the_public_contract(pair: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_pair_json_is_the_public_contract(pair: Path, capsys: Capture) -> None:
     found = run_json(["calibrate", "beta", str(pair), "--cluster-size", "3"], capsys)
     assert found["parameter"] == "beta"
     assert found["value"] == pytest.approx(0.6, abs=1e-3)
@@ -104,16 +105,14 @@ def test_pair_json_is_the_public_contract(pair: Path, capsys: pytest.CaptureFixt
     assert "stiffness_n_per_m" not in found
 
 
-def test_several_pairs_give_a_list_and_joint_one(
-    pair: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_several_pairs_give_a_list_and_joint_one(pair: Path, tmp_path: Path, capsys: Capture) -> None:
     other = tmp_path / "other.npz"
     shutil.copy(pair, other)
     assert len(run_json(["calibrate", "beta", str(pair), str(other)], capsys)) == 2
     assert run_json(["calibrate", "beta", str(pair), str(other), "--joint"], capsys)["settings"]["pairs"] == 2
 
 
-def test_force_gives_a_stiffness(pair: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_force_gives_a_stiffness(pair: Path, tmp_path: Path, capsys: Capture) -> None:
     with np.load(pair) as file:
         arrays = {name: file[name] for name in file.files}
     np.savez(tmp_path / "force.npz", **arrays, force_n=2.0)
@@ -123,7 +122,7 @@ def test_force_gives_a_stiffness(pair: Path, tmp_path: Path, capsys: pytest.Capt
     assert found["stiffness_verdict"] == "identified"
 
 
-def test_images_give_pixels_and_with_a_scale_metres(frames: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_images_give_pixels_and_with_a_scale_metres(frames: Path, capsys: Capture) -> None:
     arguments = ["calibrate", "beta", str(frames), "--grid", "6x5", "--held", "top,bottom"]
     found = run_json(arguments, capsys)
     assert found["aee_m"] is None
@@ -136,7 +135,7 @@ def test_images_give_pixels_and_with_a_scale_metres(frames: Path, capsys: pytest
 
 
 @pytest.mark.slow  # the whole fit of theta
-def test_image_files_in_the_order_given_stride_and_theta(frames: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_image_files_in_the_order_given_stride_and_theta(frames: Path, capsys: Capture) -> None:
     files = [str(frames / f"img{n}.png") for n in (8, 9, 10, 11)]
     found = run_json(["calibrate", "theta", *files, "--stride", "3", "--grid", "5x5"], capsys)
     assert found["parameter"] == "theta"
@@ -144,15 +143,13 @@ def test_image_files_in_the_order_given_stride_and_theta(frames: Path, capsys: p
 
 
 @pytest.mark.slow
-def test_sample_brings_its_own_particles(capsys: pytest.CaptureFixture[str]) -> None:
+def test_sample_brings_its_own_particles(capsys: Capture) -> None:
     found = run_json(["calibrate", "beta", "sample:tension", "--stride", "3"], capsys)
     assert found["settings"]["frames"] == 3
     assert found["settings"]["particles"] == 117
 
 
-def test_the_whole_motion_of_a_sequence_and_what_was_selected(
-    frames: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_whole_motion_of_a_sequence_and_what_was_selected(frames: Path, tmp_path: Path, capsys: Capture) -> None:
     record = tmp_path / "motion.rrd"
     asked = ["calibrate", "beta", str(frames), "--grid", "6x5", "--whole-motion", "--select", "held,cluster-size"]
     found = run_json([*asked, "--record", str(record)], capsys)
@@ -171,7 +168,7 @@ def test_the_whole_motion_of_a_sequence_and_what_was_selected(
     assert "identical" in shown.err
 
 
-def test_flags_of_a_whole_motion_that_cannot_be(frames: Path, pair: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_flags_of_a_whole_motion_that_cannot_be(frames: Path, pair: Path, capsys: Capture) -> None:
     assert "--whole-motion with --select" in failure(["calibrate", "beta", str(frames), "--select", "held"], capsys)
     assert "images with --whole-motion" in failure(["calibrate", "beta", str(pair), "--whole-motion"], capsys)
     moving = ["calibrate", "beta", str(frames), "--whole-motion", "--select", "alpha"]
@@ -184,7 +181,7 @@ def test_flags_of_a_whole_motion_that_cannot_be(frames: Path, pair: Path, capsys
 
 @pytest.mark.parametrize("kind", ["images", "pair"])
 def test_replay_gives_the_recorded_numbers(
-    kind: str, frames: Path, pair: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    kind: str, frames: Path, pair: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     record = tmp_path / "run.rrd"
     source = [str(frames), "--grid", "6x5"] if kind == "images" else [str(pair)]
@@ -208,11 +205,7 @@ def test_replay_gives_the_recorded_numbers(
     ids=["value", "posterior", "settings"],
 )
 def test_replay_compares_numbers(
-    change: Callable[[Any], dict[str, Any]],
-    expected: str,
-    recorded: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    change: Callable[[Any], dict[str, Any]], expected: str, recorded: Path, monkeypatch: Patch, capsys: Capture
 ) -> None:
     (one,) = read_estimates(Replay(recorded))
     monkeypatch.setattr("deformscope.runs.replay.read_estimates", lambda _: [dataclasses.replace(one, **change(one))])
@@ -220,7 +213,7 @@ def test_replay_compares_numbers(
     assert expected in capsys.readouterr().err
 
 
-def test_replay_refuses_a_changed_recording(recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_replay_refuses_a_changed_recording(recorded: Path, tmp_path: Path, capsys: Capture) -> None:
     record = Path(shutil.copy(recorded, tmp_path))
     shutil.copy(ledger_path(recorded), tmp_path)
     raw = bytearray(record.read_bytes())
@@ -229,7 +222,7 @@ def test_replay_refuses_a_changed_recording(recorded: Path, tmp_path: Path, caps
     assert "ledger" in failure(["replay", str(record), "--viewer", "none"], capsys)
 
 
-def test_existing_recording_needs_overwrite(pair: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_existing_recording_needs_overwrite(pair: Path, tmp_path: Path, capsys: Capture) -> None:
     record = tmp_path / "run.rrd"
     arguments = ["calibrate", "beta", str(pair), *FAST, "--record", str(record)]
     assert main(arguments) == 0
@@ -240,9 +233,7 @@ def test_existing_recording_needs_overwrite(pair: Path, tmp_path: Path, capsys: 
     assert main([*arguments, "--overwrite"]) == 0
 
 
-def test_demo_leaves_a_recording_each_time(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_demo_leaves_a_recording_each_time(tmp_path: Path, monkeypatch: Patch, capsys: Capture) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
@@ -262,9 +253,7 @@ def test_demo_leaves_a_recording_each_time(
 
 
 @pytest.mark.slow
-def test_committed_recordings_are_what_their_manifest_says(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_committed_recordings_are_what_their_manifest_says(capsys: Capture, monkeypatch: Patch) -> None:
     """And what is computed of them again is the same: words and verdicts equal, numbers within 1e-6, as other
     processors may round otherwise."""
     monkeypatch.setattr(replay_result, "differing", differing_by_more)
@@ -338,12 +327,7 @@ def _pair(path: Path, **changed: Any) -> str:
     ],
 )
 def test_bad_input_is_one_line(
-    arguments: list[str],
-    words: str,
-    frames: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    arguments: list[str], words: str, frames: Path, tmp_path: Path, monkeypatch: Patch, capsys: Capture
 ) -> None:
     monkeypatch.chdir(tmp_path)
     shutil.copytree(frames, tmp_path / "frames")
@@ -365,6 +349,6 @@ def test_bad_input_is_one_line(
 
 
 @pytest.mark.parametrize("path", ["none.rrd", "text.rrd"])
-def test_replay_of_what_is_no_recording(path: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_replay_of_what_is_no_recording(path: str, tmp_path: Path, capsys: Capture) -> None:
     (tmp_path / "text.rrd").write_text("no recording")
     assert path in failure(["replay", str(tmp_path / path), "--viewer", "none"], capsys)

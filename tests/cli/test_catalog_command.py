@@ -23,7 +23,7 @@ from deformscope.executor.local import open_workers
 from deformscope.page.catalog_page import serve_catalog
 from deformscope.recording.ledger import add_discard
 from deformscope.runs.catalog import catalogue
-from tests.cases import slow
+from tests.cases import Capture, Patch, slow
 from tests.patience import PATIENCE_S
 from tests.test_imports import ROOT
 
@@ -95,7 +95,7 @@ def test_a_row_says_what_made_it_and_what_it_found(listed: dict[str, dict[str, A
     assert len(explored["sha256"]) == 64
 
 
-def test_columns_have_units(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_columns_have_units(folder: Path, capsys: Capture) -> None:
     assert main(["catalog", str(folder), "--columns", "path,duration_s,stiffness_low,touches"]) == 0
     assert capsys.readouterr().out.splitlines()[1].split() == [
         *("path", "duration_s", "[s]", "stiffness_low", "[N/mm]", "touches")
@@ -148,7 +148,7 @@ def test_what_the_system_refuses_to_read_is_read_again(tmp_path: Path) -> None:
     assert {one["status"] for one in found["recordings"]} == {"whole"}
 
 
-def test_a_ctrl_c_keeps_what_was_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_ctrl_c_keeps_what_was_read(tmp_path: Path, monkeypatch: Patch) -> None:
     for name in ("a", "b", "c"):
         copy(SHIPPED / "tension.rrd", tmp_path / f"{name}.rrd")
 
@@ -212,9 +212,7 @@ def test_names_that_are_not_utf_8_are_listed_swept_drawn_and_linked(tmp_path: Pa
     assert {one.name for one in find_sources(options)} == {"plain.rrd", name}
 
 
-def test_no_text_of_a_recording_controls_the_terminal_of_whoever_draws_it(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_no_text_of_a_recording_controls_the_terminal_of_whoever_draws_it(tmp_path: Path, capfd: Capture) -> None:
     copy(SHIPPED / "tension.rrd", tmp_path / "r.rrd")
     add_discard(tmp_path / "r.rrd", {"reason": "\x1b]0;owned\x07"})
     catalog(tmp_path, "--page", apart=True)
@@ -275,7 +273,7 @@ def test_settings_and_results_that_differ_are_named_and_what_has_no_contact_is_n
     ],
 )
 def test_what_cannot_be_listed_is_said_in_one_line(
-    arguments: list[str], words: str, folder: Path, listed: object, capsys: pytest.CaptureFixture[str]
+    arguments: list[str], words: str, folder: Path, listed: object, capsys: Capture
 ) -> None:
     assert main(["catalog", *(one.format(folder=folder) for one in arguments)]) == 2
     said = capsys.readouterr().err.splitlines()

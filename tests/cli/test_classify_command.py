@@ -15,6 +15,7 @@ import deformscope as ds
 from deformscope.cli import main
 from deformscope.images import encode_png
 from deformscope.pictures.figures import canvas, png_of
+from tests.cases import Capture, Patch
 from tests.pictures.test_report import Page
 from tests.stages.squeeze.trials import blobs, two_modalities
 
@@ -110,9 +111,7 @@ def test_the_saved_classifier_answers_as_the_library_s(folder: Path) -> None:
     assert result._repr_html_().count("<img") == 3
 
 
-def test_a_saved_classifier_is_checked_on_new_trials(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_saved_classifier_is_checked_on_new_trials(folder: Path, tmp_path: Path, capsys: Capture) -> None:
     new = write(tmp_path / "new.npz", seed=5)
     arguments = ["--model", str(folder / "m.npz"), "--report", str(tmp_path / "r"), "--json", str(tmp_path / "c.json")]
     assert main(["classify", str(new), *arguments]) == 0
@@ -142,7 +141,7 @@ def test_arrays_of_a_script_with_one_modality_and_merged_classes() -> None:
         ds.classify(arrays, splits=1)
 
 
-def test_many_classes_of_few_trials_and_a_page_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_many_classes_of_few_trials_and_a_page_alone(tmp_path: Path, capsys: Capture) -> None:
     table = blobs(classes=16, each=4, columns=12, apart=6.0)
     np.savez(tmp_path / "t.npz", label=table.label, touch=table.modalities["touch"])
     page = tmp_path / "r.html"
@@ -153,9 +152,7 @@ def test_many_classes_of_few_trials_and_a_page_alone(tmp_path: Path, capsys: pyt
     assert "stratified splits" in page.read_text()
 
 
-def test_a_disk_that_is_full_for_the_classifier_does_not_cost_the_json(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_disk_that_is_full_for_the_classifier_does_not_cost_the_json(tmp_path: Path, monkeypatch: Patch) -> None:
     def no_room(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -166,7 +163,7 @@ def test_a_disk_that_is_full_for_the_classifier_does_not_cost_the_json(
     assert json.loads(found.read_text())
 
 
-def test_what_cannot_be_used_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_cannot_be_used_is_refused_in_one_line(tmp_path: Path, capsys: Capture) -> None:
     table = two_modalities()
     twice = {name: values.copy() for name, values in table.modalities.items()}
     for values in twice.values():

@@ -20,6 +20,7 @@ from deformscope import cli, config
 from deformscope.cli import common
 from deformscope.errors import InputError
 from deformscope.runs.result import resolve_viewer
+from tests.cases import Capture, Patch
 from tests.patience import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -39,7 +40,7 @@ def run_python(*args: str, stdout: int = subprocess.PIPE, **environment: str) ->
 
 
 @pytest.fixture
-def command(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[config.FlowConfig], None]], list[str]]:
+def command(monkeypatch: Patch) -> Callable[[Callable[[config.FlowConfig], None]], list[str]]:
     """Make a function a command; returns the arguments that run it."""
 
     def register(function: Callable[[config.FlowConfig], None]) -> list[str]:
@@ -53,12 +54,12 @@ def command(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[config.FlowC
 
 
 @pytest.fixture(autouse=True)
-def _in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def _in_a_folder_of_its_own(tmp_path: Path, monkeypatch: Patch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv(cli.TRACEBACK, raising=False)
 
 
-def one_line(capsys: pytest.CaptureFixture[str]) -> str:
+def one_line(capsys: Capture) -> str:
     """What an error said: exactly one line on stderr, nothing on stdout."""
     out, err = capsys.readouterr()
     assert out == ""
@@ -70,13 +71,13 @@ def one_line(capsys: pytest.CaptureFixture[str]) -> str:
 # Help and finding a command
 
 
-def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_lists_every_command(capsys: Capture) -> None:
     assert cli.main(["--help"]) == 0
     told = capsys.readouterr().out
     assert all(f"  {name}" in told for name in cli.COMMANDS)
 
 
-def test_without_arguments_it_says_one_command(capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_arguments_it_says_one_command(capsys: Capture) -> None:
     assert cli.main([]) == 0
     (command,) = [line.split() for line in capsys.readouterr().out.splitlines() if line.startswith("  deformscope ")]
     options = cli.parse(config.ExploreConfig, command[2:])
@@ -91,7 +92,7 @@ def test_a_flag_has_the_name_and_unit_that_is_typed() -> None:
     assert (options.budget, options.beta_model) == (30, "none")
 
 
-def test_every_command_exists_and_has_help(capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_command_exists_and_has_help(capsys: Capture) -> None:
     for name, command in cli.COMMANDS.items():
         assert cli.main([*name.split(), "--help"]) == 0
         assert capsys.readouterr().out.startswith(f"usage: deformscope {name} ")
@@ -120,9 +121,7 @@ def test_every_command_that_computes_records_and_shows() -> None:
 
 
 @pytest.mark.parametrize("name", sorted(set(cli.COMMANDS) - ONLY_LOOK))
-def test_an_existing_recording_is_not_written_over(
-    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_existing_recording_is_not_written_over(name: str, tmp_path: Path, capsys: Capture) -> None:
     kept = tmp_path / "kept.rrd"
     kept.write_bytes(b"kept")
     needed = {
@@ -137,7 +136,7 @@ def test_an_existing_recording_is_not_written_over(
     assert kept.read_bytes() == b"kept"
 
 
-def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+def test_version(capsys: Capture) -> None:
     assert cli.main(["--version"]) == 0
     assert re.fullmatch(r"deformscope \d+\.\d+\.\d+\n", capsys.readouterr().out)
 
@@ -148,13 +147,13 @@ def test_runs_as_a_module() -> None:
 
 
 @pytest.fixture
-def groups(monkeypatch: pytest.MonkeyPatch) -> None:
+def groups(monkeypatch: Patch) -> None:
     monkeypatch.setitem(cli.COMMANDS, "measure beta", cli.Command("of beta", "BetaConfig", "nowhere"))
     monkeypatch.setitem(cli.COMMANDS, "measure theta", cli.Command("of theta", "ThetaConfig", "nowhere"))
 
 
 @pytest.mark.usefixtures("groups")
-def test_a_group_has_help_and_members(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_group_has_help_and_members(capsys: Capture) -> None:
     assert cli.main(["measure", "--help"]) == 0
     told = capsys.readouterr().out
     assert "measure beta" in told
@@ -173,9 +172,7 @@ def test_a_group_has_help_and_members(capsys: pytest.CaptureFixture[str]) -> Non
         (["measure", "betta"], "got 'betta' | try: deformscope measure beta"),
     ],
 )
-def test_an_unknown_command_is_answered_with_the_nearest(
-    args: list[str], says: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_unknown_command_is_answered_with_the_nearest(args: list[str], says: str, capsys: Capture) -> None:
     assert cli.main(args) == 2
     assert one_line(capsys).endswith(says)
 
@@ -196,12 +193,12 @@ def test_an_unknown_command_is_answered_with_the_nearest(
         ("a b --out f.npz --picture f.gif", "expected a file that ends in .png after --picture; got 'f.gif'"),
     ],
 )
-def test_a_wrong_flag_is_one_line(args: str, says: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_wrong_flag_is_one_line(args: str, says: str, capsys: Capture) -> None:
     assert cli.main(["flow", *args.split()]) == 2
     assert says in one_line(capsys)
 
 
-def test_a_narrow_terminal_breaks_no_word(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_narrow_terminal_breaks_no_word(capsys: Capture, monkeypatch: Patch) -> None:
     monkeypatch.setenv("COLUMNS", "40")
     flag = "--no-flag-of-this-length-has-ever-been-seen-by-anybody"
     assert cli.main(["flow", "a", "b", "--out", "f.npz", flag]) == 2
@@ -311,18 +308,16 @@ def raising(error: BaseException) -> Callable[[config.FlowConfig], None]:
     return run
 
 
-def fail(
-    error: BaseException, command: Callable[..., list[str]], capsys: pytest.CaptureFixture[str]
-) -> tuple[int, str]:
+def fail(error: BaseException, command: Callable[..., list[str]], capsys: Capture) -> tuple[int, str]:
     status = cli.main(command(raising(error)))
     return status, one_line(capsys).removeprefix("deformscope: error: ")
 
 
-def test_an_input_error_is_status_2(command: Callable[..., list[str]], capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_input_error_is_status_2(command: Callable[..., list[str]], capsys: Capture) -> None:
     assert fail(InputError("a", "b\nc", "d", "e.png"), command, capsys) == (2, "expected a; got b c | try: d | e.png")
 
 
-def test_an_unexpected_error_is_named(command: Callable[..., list[str]], capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unexpected_error_is_named(command: Callable[..., list[str]], capsys: Capture) -> None:
     status, told = fail(ZeroDivisionError("a\nb"), command, capsys)
     assert (status, told) == (1, "unexpected ZeroDivisionError: a b | set DEFORMSCOPE_TRACEBACK=1 for the traceback")
     status, told = fail(RuntimeError("x" * 9999), command, capsys)
@@ -330,7 +325,7 @@ def test_an_unexpected_error_is_named(command: Callable[..., list[str]], capsys:
 
 
 def test_the_traceback_is_shown_when_asked_for(
-    command: Callable[..., list[str]], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    command: Callable[..., list[str]], capsys: Capture, monkeypatch: Patch
 ) -> None:
     monkeypatch.setenv(cli.TRACEBACK, "1")
     assert cli.main(command(raising(KeyError("k")))) == 1
@@ -341,7 +336,7 @@ def test_the_traceback_is_shown_when_asked_for(
 
 @pytest.mark.parametrize("package", ["ImportError", "OSError"])
 def test_a_missing_library_is_named_with_its_package(
-    package: str, command: Callable[..., list[str]], capsys: pytest.CaptureFixture[str]
+    package: str, command: Callable[..., list[str]], capsys: Capture
 ) -> None:
     kind = {"ImportError": ImportError, "OSError": OSError}[package]
     error = kind("libusb-1.0.so.0: cannot open shared object file: No such file or directory")
@@ -352,33 +347,27 @@ def test_a_missing_library_is_named_with_its_package(
     )
 
 
-def test_a_library_missing_underneath_is_found(
-    command: Callable[..., list[str]], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_library_missing_underneath_is_found(command: Callable[..., list[str]], capsys: Capture) -> None:
     error = RuntimeError("no depth")
     error.__cause__ = ImportError("libodd.so.3: cannot open shared object file: No such file or directory")
     status, told = fail(error, command, capsys)
     assert (status, "libodd.so.3" in told, "package manager" in told) == (1, True, True)
 
 
-def test_causes_that_lead_back_to_the_error_end(
-    command: Callable[..., list[str]], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_causes_that_lead_back_to_the_error_end(command: Callable[..., list[str]], capsys: Capture) -> None:
     error, cause = RuntimeError("no depth"), ValueError("none")
     error.__cause__, cause.__cause__ = cause, error
     assert fail(error, command, capsys)[0] == 1
 
 
-def test_a_missing_package_and_a_refusing_system(
-    command: Callable[..., list[str]], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_missing_package_and_a_refusing_system(command: Callable[..., list[str]], capsys: Capture) -> None:
     assert "expected the Python package rerun" in fail(ModuleNotFoundError("no", name="rerun"), command, capsys)[1]
     error = OSError(28, "No space left on device", "/data/run.npz")
     assert fail(error, command, capsys) == (2, "the system refused: No space left on device | /data/run.npz")
     assert "enough memory" in fail(MemoryError(), command, capsys)[1]
 
 
-def test_an_interrupt_is_quiet(command: Callable[..., list[str]], capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_interrupt_is_quiet(command: Callable[..., list[str]], capsys: Capture) -> None:
     assert cli.main(command(raising(KeyboardInterrupt()))) == 130
     assert one_line(capsys) == "deformscope: interrupted"
 
@@ -408,9 +397,7 @@ def test_a_reader_that_goes_away_is_quiet() -> None:
     assert (result.returncode, result.stderr) == (141, "")
 
 
-def test_another_pipe_that_breaks_is_no_silence(
-    command: Callable[..., list[str]], capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_another_pipe_that_breaks_is_no_silence(command: Callable[..., list[str]], capfd: Capture) -> None:
     assert cli.main(command(raising(BrokenPipeError(32, "Broken pipe")))) == 1
     assert "Broken pipe" in capfd.readouterr().err
 
@@ -494,7 +481,7 @@ def nothing(_: config.FlowConfig) -> None:
     ],
 )
 def test_an_output_out_of_reach_is_found_before_the_work(
-    flags: list[str], says: str, command: Callable[..., list[str]], capsys: pytest.CaptureFixture[str]
+    flags: list[str], says: str, command: Callable[..., list[str]], capsys: Capture
 ) -> None:
     Path("taken.npz").touch()
     Path("folder.npz").mkdir()
@@ -503,7 +490,7 @@ def test_an_output_out_of_reach_is_found_before_the_work(
     assert says in one_line(capsys)
 
 
-def test_a_folder_that_refuses_is_found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_folder_that_refuses_is_found(monkeypatch: Patch, tmp_path: Path) -> None:
     def refuse(*_: object, **__: object) -> None:
         raise PermissionError(13, "Permission denied")
 
@@ -590,7 +577,7 @@ def talk(config_: config.FlowConfig) -> None:
     common.write_json({"beta": 0.5}, config_.output.json)
 
 
-def test_stdout_is_the_json_alone(command: Callable[..., list[str]], capsys: pytest.CaptureFixture[str]) -> None:
+def test_stdout_is_the_json_alone(command: Callable[..., list[str]], capsys: Capture) -> None:
     assert cli.main([*command(talk), "--json", "-"]) == 0
     out, err = capsys.readouterr()
     assert json.loads(out) == {"beta": 0.5}
@@ -599,9 +586,7 @@ def test_stdout_is_the_json_alone(command: Callable[..., list[str]], capsys: pyt
     assert "[0.5]" in err
 
 
-def test_the_table_is_on_stdout_otherwise(
-    command: Callable[..., list[str]], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_table_is_on_stdout_otherwise(command: Callable[..., list[str]], capsys: Capture) -> None:
     assert cli.main([*command(talk), "--json", "r.json"]) == 0
     out, err = capsys.readouterr()
     assert "[0.5]" in out
@@ -624,7 +609,7 @@ print("after")
     assert sorted(told.stderr.split()) == ["below", "python"]
 
 
-def test_the_viewer_goes_with_the_display(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_viewer_goes_with_the_display(monkeypatch: Patch) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     assert resolve_viewer("auto") == "none"
@@ -638,7 +623,7 @@ def test_the_viewer_goes_with_the_display(monkeypatch: pytest.MonkeyPatch) -> No
 
 @pytest.mark.parametrize(("compiled", "watched"), [(False, True), (True, True), (False, False)])
 def test_a_first_start_says_that_it_compiles(
-    compiled: bool, watched: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    compiled: bool, watched: bool, tmp_path: Path, monkeypatch: Patch, capsys: Capture
 ) -> None:
     warp = pytest.importorskip("warp")
     common.quiet_warp()

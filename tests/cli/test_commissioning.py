@@ -16,13 +16,14 @@ from deformscope.robot.placement import Placement
 from deformscope.robot.setup import RigParts
 from deformscope.runs.opened_devices import table_of
 from deformscope.stages.setup.transform import deviation
+from tests.cases import Capture, Patch
 from tests.cli.rig_on_a_simulated_clock import use_a_simulated_clock
 from tests.verified import verify_here
 
 SCENE, HIDDEN = "two-60-150", 3
 
 
-def doctors_next(rig: Path, capsys: pytest.CaptureFixture[str]) -> str:
+def doctors_next(rig: Path, capsys: Capture) -> str:
     capsys.readouterr()
     main(["doctor", str(rig), "--seconds", "0.1", "--json", "-"])
     return str(json.loads(capsys.readouterr().out)["next"])
@@ -68,7 +69,7 @@ def truth_of(randomized: RandomizedRig) -> Values:
 
 @pytest.mark.slow
 def test_a_load_on_a_scale_gives_the_gain_of_a_sensor_that_nobody_knows(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, capsys: Capture, monkeypatch: Patch
 ) -> None:
     faulthandler.cancel_dump_traceback_later()
     assert main(["doctor", "--example", "--doubles"]) == 0
@@ -85,9 +86,7 @@ def test_a_load_on_a_scale_gives_the_gain_of_a_sensor_that_nobody_knows(
 
 
 @pytest.mark.slow
-def test_taps_are_found_in_their_recording_again(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_taps_are_found_in_their_recording_again(tmp_path: Path, capsys: Capture, monkeypatch: Patch) -> None:
     """The same frames, but for those before the taps, give the same offset."""
     faulthandler.cancel_dump_traceback_later()
     assert main(["doctor", "--example", "--doubles"]) == 0
@@ -108,7 +107,7 @@ def test_taps_are_found_in_their_recording_again(
 
 @pytest.mark.slow
 def test_doctor_s_list_leads_from_an_empty_file_to_an_exploration(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, capsys: Capture, monkeypatch: Patch
 ) -> None:
     faulthandler.cancel_dump_traceback_later()  # on a busy machine it takes longer than what is reported as a hang
     rig = tmp_path / "rig.toml"

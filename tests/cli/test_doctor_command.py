@@ -11,7 +11,7 @@ from deformscope.cli import doctor, main
 from deformscope.cli.common import EXIT_LOSSES
 from deformscope.lab import double_device
 from deformscope_drivers import kuka
-from tests.cases import slow
+from tests.cases import Capture, Patch, slow
 
 DEVICES = ("tip", "pads", "hand", "arm", "camera", "depth")
 
@@ -32,7 +32,7 @@ def doubled(text: str, *but: str) -> str:
     return "\n".join(lines)
 
 
-def verdicts(path: Path, capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, dict[str, tuple[str, str]]]:
+def verdicts(path: Path, capsys: Capture, *arguments: str) -> tuple[int, dict[str, tuple[str, str]]]:
     """The exit status, and verdict and words by device; what else there is to look at, as losses on a busy machine, is
     left out."""
     status = main(["doctor", str(path), "--seconds", "0.1", "--json", "-", *arguments])
@@ -41,7 +41,7 @@ def verdicts(path: Path, capsys: pytest.CaptureFixture[str], *arguments: str) ->
     return status, {name: row for name, row in rows if row[0] != "look"}
 
 
-def test_the_example_works_with_doubles(example: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_example_works_with_doubles(example: str, tmp_path: Path, capsys: Capture) -> None:
     path = tmp_path / "rig.toml"
     path.write_text(doubled(example))
     status, found = verdicts(path, capsys)
@@ -49,9 +49,7 @@ def test_the_example_works_with_doubles(example: str, tmp_path: Path, capsys: py
     assert status == 0
 
 
-def test_devices_that_fail_are_rows_among_the_others(
-    example: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_devices_that_fail_are_rows_among_the_others(example: str, tmp_path: Path, capsys: Capture) -> None:
     path = tmp_path / "rig.toml"
     for there, missing in (("usb-OptoForce_DAQ-if00", "none"), ("ttyUSB0", "ttyNONE"), ('bus = "socketcan:can0"', "")):
         assert there in example
@@ -69,9 +67,7 @@ def test_devices_that_fail_are_rows_among_the_others(
     assert "repair tip (optoforce) first" in printed.err
 
 
-def test_whatever_a_device_raises_is_a_row(
-    example: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_whatever_a_device_raises_is_a_row(example: str, tmp_path: Path, capsys: Capture, monkeypatch: Patch) -> None:
     whole = double_device._wire_process
 
     def fail(driver: str, config: object) -> contextlib.AbstractContextManager[str]:
@@ -89,7 +85,7 @@ def test_whatever_a_device_raises_is_a_row(
     assert status == 2
 
 
-def test_what_the_robot_looks_like_is_a_row(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_the_robot_looks_like_is_a_row(tmp_path: Path, capsys: Capture) -> None:
     rig = tmp_path / "rig.toml"
     arm = '[devices.arm]\ndriver = "kuka"\ndouble = true\n'
     rig.write_text(f'{arm}[shape]\nurdf = "none.urdf"\n', encoding="utf-8")
@@ -103,7 +99,7 @@ def test_what_the_robot_looks_like_is_a_row(tmp_path: Path, capsys: pytest.Captu
     assert "mesh: 7 solids of" in capsys.readouterr().out
 
 
-def test_a_folder_that_no_disk_can_have_is_a_row(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_that_no_disk_can_have_is_a_row(tmp_path: Path, capsys: Capture) -> None:
     path = tmp_path / "rig.toml"
     path.write_text(f'[devices.arm]\ndriver = "jaco"\ndouble = true\n[record]\nfolder = "{"a" * 5000}"\n')
     assert main(["doctor", str(path), "--seconds", "0.1"]) == 2
@@ -128,7 +124,7 @@ def test_the_example_with_doubles_is_recorded(command: list[str], example: str, 
 
 @pytest.mark.parametrize("all_doubled", [True, False])
 def test_doubles_of_the_example_run_for_others(
-    all_doubled: bool, example: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    all_doubled: bool, example: str, tmp_path: Path, capsys: Capture, monkeypatch: Patch
 ) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     path = tmp_path / "rig.toml"
@@ -141,7 +137,7 @@ def test_doubles_of_the_example_run_for_others(
     assert "arm, camera, depth: simulated only within a command" in said.err
 
 
-def test_a_rig_without_anything_to_double_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_rig_without_anything_to_double_is_told(tmp_path: Path, capsys: Capture) -> None:
     path = tmp_path / "rig.toml"
     path.write_text('[devices.camera]\ndriver = "webcam"\n')
     assert main(["double", str(path)]) == 2
@@ -149,7 +145,7 @@ def test_a_rig_without_anything_to_double_is_told(tmp_path: Path, capsys: pytest
 
 
 def test_what_a_device_remarks_of_itself_is_to_be_looked_at(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, capsys: Capture, monkeypatch: Patch
 ) -> None:
     from deformscope_drivers.realsense.double import CAMERAS_FILE, DoubleCamera, plug
 
@@ -168,7 +164,7 @@ def test_what_a_device_remarks_of_itself_is_to_be_looked_at(
 
 @pytest.mark.parametrize(("allowed", "verdict"), [(True, "ok"), (False, "look")])
 def test_whether_the_robots_threads_may_be_real_time_is_a_row(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, allowed: bool, verdict: str
+    tmp_path: Path, capsys: Capture, monkeypatch: Patch, allowed: bool, verdict: str
 ) -> None:
     monkeypatch.setattr(doctor, "may_be_prompt", lambda: allowed)
     rig = tmp_path / "rig.toml"

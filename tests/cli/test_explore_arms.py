@@ -14,7 +14,7 @@ from deformscope.recording.items import read_items
 from deformscope.robot import finger
 from deformscope.robot.preflight import FORCE_TURNED
 from deformscope_drivers import kuka
-from tests.cases import slow
+from tests.cases import Capture, Patch, slow
 from tests.cli.quick_scene import use_quick_scene
 from tests.cli.rig_on_a_simulated_clock import count_as_real, use_a_simulated_clock
 from tests.verified import verify_here
@@ -63,7 +63,7 @@ cables = [{{ points_m = [[0.03, 0, 0.02], [0.03, 0, -0.1]], radius_m = 0.01 }}]
 RIGS = {"placed": PLACED + REST + PLACES["placed"], "kuka": KUKA + REST + PLACES["kuka"] + SHAPE}
 
 
-def explored(kind: str, touches: int, tmp_path: Path, capsys: pytest.CaptureFixture[str], *more: str) -> dict[str, Any]:
+def explored(kind: str, touches: int, tmp_path: Path, capsys: Capture, *more: str) -> dict[str, Any]:
     rig, found = tmp_path / f"{kind}.toml", tmp_path / "found.json"
     rig.write_text(RIGS[kind])
     arguments = ["explore", str(rig), "--touches", str(touches), "--beta-model", "none", "--json", str(found), *more]
@@ -73,11 +73,7 @@ def explored(kind: str, touches: int, tmp_path: Path, capsys: pytest.CaptureFixt
 
 @pytest.mark.parametrize(("kind", "first_m"), [slow("kuka", (0.42, 0.11)), slow("placed", None)])
 def test_another_arm_explores_records_and_replays(
-    kind: str,
-    first_m: tuple[float, float] | None,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    kind: str, first_m: tuple[float, float] | None, tmp_path: Path, capsys: Capture, monkeypatch: Patch
 ) -> None:
     use_a_simulated_clock(monkeypatch)
     use_quick_scene(monkeypatch)
@@ -109,7 +105,7 @@ def test_another_arm_explores_records_and_replays(
     assert main(["replay", str(record)]) == 0, capsys.readouterr().err
 
 
-def asked_of_the_person(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+def asked_of_the_person(monkeypatch: Patch) -> list[Any]:
     """What the simulated person is asked for from now on."""
     asked: list[Any] = []
     ask = SimulatedPerson.ask
@@ -119,9 +115,7 @@ def asked_of_the_person(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", RIGS)
-def test_another_arm_maps_two_foams(
-    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_another_arm_maps_two_foams(kind: str, tmp_path: Path, capsys: Capture, monkeypatch: Patch) -> None:
     use_a_simulated_clock(monkeypatch)
     found = explored(kind, 8, tmp_path, capsys)
     with capsys.disabled():
@@ -130,9 +124,7 @@ def test_another_arm_maps_two_foams(
 
 
 @pytest.mark.slow  # a second touch; of one the test above says so
-def test_each_place_of_the_plan_is_asked_for(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_each_place_of_the_plan_is_asked_for(tmp_path: Path, capsys: Capture, monkeypatch: Patch) -> None:
     use_a_simulated_clock(monkeypatch)
     use_quick_scene(monkeypatch)
     asked = asked_of_the_person(monkeypatch)
@@ -149,7 +141,7 @@ def test_each_place_of_the_plan_is_asked_for(
 
 @pytest.mark.slow
 def test_a_dry_run_makes_the_motion_of_the_first_touch_in_the_air(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, capsys: Capture, monkeypatch: Patch
 ) -> None:
     use_a_simulated_clock(monkeypatch)
     use_quick_scene(monkeypatch)
@@ -174,7 +166,7 @@ def test_a_dry_run_makes_the_motion_of_the_first_touch_in_the_air(
     ],
 )
 def test_what_makes_no_sense_is_refused(
-    kind: str, more: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    kind: str, more: list[str], words: str, tmp_path: Path, capsys: Capture
 ) -> None:
     rig = tmp_path / "rig.toml"
     rig.write_text(RIGS[kind])
@@ -187,7 +179,7 @@ def test_what_makes_no_sense_is_refused(
 
 @pytest.mark.parametrize("presses", [slow(True), False])
 def test_a_person_is_asked_to_press_the_tip_of_an_arm_without_joint_torques(
-    presses: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    presses: bool, tmp_path: Path, capsys: Capture, monkeypatch: Patch
 ) -> None:
     use_a_simulated_clock(monkeypatch)
     use_quick_scene(monkeypatch)
@@ -216,7 +208,7 @@ def test_a_person_is_asked_to_press_the_tip_of_an_arm_without_joint_torques(
 
 
 def test_an_arm_without_joint_torques_wants_calibrate_force(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, capsys: Capture, monkeypatch: Patch
 ) -> None:
     use_a_simulated_clock(monkeypatch)
     use_quick_scene(monkeypatch)

@@ -36,6 +36,7 @@ from deformscope.stages.map.exploration import ExplorationStop, PhaseStart
 from deformscope.stages.map.measured import LookFrames, TouchFrames
 from deformscope_drivers.clock import Stamp
 from studies.fault_study import ALLOWED_S, AS_IT_MOVES, turned_aside_deg
+from tests.cases import Capture, Patch
 from tests.cli.quick_scene import use_quick_scene
 from tests.patience import PATIENCE_S
 from tests.verified import verify_here
@@ -108,7 +109,7 @@ def test_a_simulated_table_is_explored(explored: Explored) -> None:
         assert set(np.unique(file["labels"])) == set(range(explored.touches))
 
 
-def test_its_recording_is_whole_and_replays(explored: Explored, capsys: pytest.CaptureFixture[str]) -> None:
+def test_its_recording_is_whole_and_replays(explored: Explored, capsys: Capture) -> None:
     assert check_recording(explored.record).problems == []
     assert verify_here(explored.record) == 0, capsys.readouterr().err
     assert "tip/frames" in capsys.readouterr().out
@@ -121,7 +122,7 @@ def test_its_recording_is_whole_and_replays(explored: Explored, capsys: pytest.C
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "words"), [(DepthFrame, "of SurfaceEstimate"), (WrenchFrame, "of TouchEstimate")])
 def test_a_replay_notices_one_altered_frame(
-    kind: type, words: str, explored: Explored, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    kind: type, words: str, explored: Explored, capsys: Capture, monkeypatch: Patch
 ) -> None:
     alter_one(monkeypatch, kind, explored.record)
     assert main(["replay", str(explored.record)]) == 2
@@ -129,7 +130,7 @@ def test_a_replay_notices_one_altered_frame(
 
 
 @pytest.mark.slow
-def test_a_replay_with_another_setting_is_compared(explored: Explored, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_replay_with_another_setting_is_compared(explored: Explored, capsys: Capture) -> None:
     assert main(["replay", str(explored.record), "--set", "set_force_n=2", "--json", "-"]) == 0
     beside = json.loads(capsys.readouterr().out)
     assert (beside["identical"], beside["set"]) == (None, {"set_force_n": 2.0})
@@ -142,14 +143,12 @@ def test_a_replay_with_another_setting_is_compared(explored: Explored, capsys: p
     ("words", "expected"),
     [("force=2", "KEY one of budget, goal, planner"), ("budget=many", "a value of budget"), ("budget=0", "1 or more")],
 )
-def test_a_setting_that_is_none_is_refused(
-    words: str, expected: str, explored: Explored, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_setting_that_is_none_is_refused(words: str, expected: str, explored: Explored, capsys: Capture) -> None:
     assert main(["replay", str(explored.record), "--set", words]) == 2
     assert expected in capsys.readouterr().err
 
 
-def alter_one(monkeypatch: pytest.MonkeyPatch, kind: type, record: Path) -> None:
+def alter_one(monkeypatch: Patch, kind: type, record: Path) -> None:
     """From now on one frame that an exploration used is read as another: the first depth image, or a force before it
     pressed."""
     used = [one.item for one in read_results(record, (LookFrames, TouchFrames), trust=True)]
@@ -168,7 +167,7 @@ def alter_one(monkeypatch: pytest.MonkeyPatch, kind: type, record: Path) -> None
     monkeypatch.setattr("deformscope.experiments.explore.recorded_touches.read_items", altered)
 
 
-def test_a_recording_without_a_frame_that_was_used_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_recording_without_a_frame_that_was_used_is_refused(tmp_path: Path, monkeypatch: Patch) -> None:
     state = ArmFrame(Stamp(7), 0, *(np.zeros(6),) * 3, *(np.zeros(3),) * 5)
     named = LookFrames("camera", np.array([5]), "arm", 7, "j2n6s300", (1.0, 1.0), (0.0, 0.0))
     one = Row(0, 0, named)
@@ -182,7 +181,7 @@ def test_a_recording_without_a_frame_that_was_used_is_refused(tmp_path: Path, mo
         recorded_inputs(tmp_path / "e.rrd")
 
 
-def test_scenes_are_listed_without_a_rig(capsys: pytest.CaptureFixture[str]) -> None:
+def test_scenes_are_listed_without_a_rig(capsys: Capture) -> None:
     assert main(["explore", "--list-scenarios"]) == 0
     shown = capsys.readouterr().out
     assert "lab:two-60-150" in shown
@@ -208,11 +207,7 @@ def test_scenes_are_listed_without_a_rig(capsys: pytest.CaptureFixture[str]) -> 
     ],
 )
 def test_what_cannot_be_explored_is_said_in_one_line(
-    arguments: list[str],
-    words: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    arguments: list[str], words: str, tmp_path: Path, capsys: Capture, monkeypatch: Patch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(arguments) != 0
@@ -226,7 +221,7 @@ STOPPED = ["--touches", "2", "--viewer", "none", "--beta-model", "none"]
 
 
 @pytest.fixture
-def quick_scene(monkeypatch: pytest.MonkeyPatch) -> None:
+def quick_scene(monkeypatch: Patch) -> None:
     use_quick_scene(monkeypatch)
 
 
@@ -247,7 +242,7 @@ class Terminal(io.StringIO):
     ],
 )
 def test_a_fault_stops_it_and_the_recording_is_whole(
-    fault: str, kind: str, within_s: float, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    fault: str, kind: str, within_s: float, words: str, tmp_path: Path, capsys: Capture
 ) -> None:
     record, told = tmp_path / "e.rrd", tmp_path / "e.json"
     arguments = ["explore", "lab:two-60-150", *STOPPED, "--fault", fault]
@@ -291,9 +286,7 @@ def test_a_fault_stops_it_and_the_recording_is_whole(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("injected", Injected)
-def test_every_fault_is_noticed_and_its_recording_whole(
-    injected: Injected, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_fault_is_noticed_and_its_recording_whole(injected: Injected, tmp_path: Path, capsys: Capture) -> None:
     record, told = tmp_path / "e.rrd", tmp_path / "e.json"
     arguments = ["explore", "lab:disc", *STOPPED, "--seed", "4", "--fault", f"{injected.word}@1"]
     # the laboratory's camera gives 10 pictures a second; an arm that hardly moves is noticed later (`fault_study`)
@@ -308,7 +301,7 @@ def test_every_fault_is_noticed_and_its_recording_whole(
 @pytest.mark.slow
 @pytest.mark.usefixtures("quick_scene")
 def test_over_the_slowest_link_that_is_let_it_explores_with_the_stick_as_commanded(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: Patch
 ) -> None:
     """A call over USB takes 2.8 ms and more (kinova-ros issues 281, 372)."""
     told, labs, aside_deg = tmp_path / "e.json", list[TouchLab](), list[float]()
@@ -350,9 +343,7 @@ def interrupted_at(phase: Phase, *numbers: int) -> Callable[..., None]:
 @pytest.mark.parametrize(
     ("number", "status"), [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.slow)]
 )
-def test_ctrl_c_stops_the_arm_and_keeps_all(
-    number: int, status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ctrl_c_stops_the_arm_and_keeps_all(number: int, status: int, tmp_path: Path, monkeypatch: Patch) -> None:
     record, told, terminal = tmp_path / "e.rrd", tmp_path / "e.json", Terminal()
     monkeypatch.setattr(TouchingRobot, "_begin", interrupted_at(Phase.DWELL, number))
     monkeypatch.setattr(sys, "stderr", terminal)
@@ -373,9 +364,7 @@ def test_ctrl_c_stops_the_arm_and_keeps_all(
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("quick_scene")
-def test_a_second_ctrl_c_leaves_at_once(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_second_ctrl_c_leaves_at_once(tmp_path: Path, capsys: Capture, monkeypatch: Patch) -> None:
     """Slow: test_explore_ends.py has it without devices."""
     monkeypatch.setattr(TouchingRobot, "_begin", interrupted_at(Phase.APPROACH, signal.SIGINT, signal.SIGINT))
     record = tmp_path / "e.rrd"
@@ -387,9 +376,7 @@ def test_a_second_ctrl_c_leaves_at_once(
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("quick_scene")
-def test_a_full_disk_halts_the_arm_first(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_halts_the_arm_first(tmp_path: Path, capsys: Capture, monkeypatch: Patch) -> None:
     began: list[Phase] = []
     stopped: list[str] = []
     free = shutil.disk_usage
@@ -432,9 +419,7 @@ def test_a_full_disk_halts_the_arm_first(
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("quick_scene")
-def test_the_robot_is_watched_while_the_disk_blocks(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_robot_is_watched_while_the_disk_blocks(tmp_path: Path, capsys: Capture, monkeypatch: Patch) -> None:
     """From one phase to another no flush comes back: what looks at the force goes on as before."""
     blocks, free, given_up = threading.Event(), threading.Event(), list[bool]()
     looks = 0

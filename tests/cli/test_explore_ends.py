@@ -16,7 +16,7 @@ from deformscope.errors import InputError
 from deformscope.recording.items import read_results
 from deformscope.recording.lateness import RecordingError
 from deformscope.stages.map.exploration import MapEstimate, StageFailure
-from tests.cases import slow_but
+from tests.cases import Capture, Patch, slow_but
 from tests.cli.fake_bench import FakeBench, FakeRobot, use_fake_bench
 from tests.verified import verify_here
 
@@ -45,11 +45,11 @@ QUICK = ("contact", 0)
 
 
 @pytest.fixture
-def bench(monkeypatch: pytest.MonkeyPatch) -> FakeBench:
+def bench(monkeypatch: Patch) -> FakeBench:
     return use_fake_bench(monkeypatch)
 
 
-def fail_on(monkeypatch: pytest.MonkeyPatch, target: str, touch: int | None, error: Exception) -> None:
+def fail_on(monkeypatch: Patch, target: str, touch: int | None, error: Exception) -> None:
     """A function fails once while this touch is estimated or shown (0: what comes before), or always at every one."""
     where, _, name = target.rpartition(".")
     made: list[object] = []
@@ -96,7 +96,7 @@ def _owner(path: str) -> Any:
     ],
 )
 def test_a_stage_that_fails_on_one_touch_does_not_end_it(
-    stage: str, error: Exception, bench: FakeBench, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    stage: str, error: Exception, bench: FakeBench, tmp_path: Path, capsys: Capture
 ) -> None:
     files = {name: tmp_path / f"e.{name}" for name in ("rrd", "json", "npz", "png")}
     arguments = ["--record", str(files["rrd"]), "--json", str(files["json"]), "--map", str(files["npz"])]
@@ -132,7 +132,7 @@ def test_a_stage_that_fails_on_one_touch_does_not_end_it(
     ],
 )
 def test_failures_without_end_end_it_in_order(
-    stage: str, touches: int, bench: FakeBench, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    stage: str, touches: int, bench: FakeBench, tmp_path: Path, capsys: Capture
 ) -> None:
     plan, look = (
         "deformscope.experiments.explore.search.plan_touch",
@@ -172,7 +172,7 @@ ENDS: list[BaseException] = [
 ]
 
 
-def fail_once(monkeypatch: pytest.MonkeyPatch, target: str, at: int, error: BaseException) -> list[int]:
+def fail_once(monkeypatch: Patch, target: str, at: int, error: BaseException) -> list[int]:
     """The call with this number raises; the calls that were made."""
     where, _, name = target.rpartition(".")
     owner = _owner(where)
@@ -188,9 +188,7 @@ def fail_once(monkeypatch: pytest.MonkeyPatch, target: str, at: int, error: Base
     return calls
 
 
-def ends_well(
-    target: str, at: int, error: BaseException, bench: FakeBench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> bool:
+def ends_well(target: str, at: int, error: BaseException, bench: FakeBench, tmp_path: Path, monkeypatch: Patch) -> bool:
     """Explore with a call that fails; whether it was reached."""
     calls = fail_once(monkeypatch, target, at, error)
     told = tmp_path / "e.json"
@@ -224,13 +222,7 @@ def ends_well(
     ],
 )
 def test_an_error_leaves_the_arm_standing_and_what_is_known(
-    target: str,
-    at: int,
-    error: BaseException,
-    bench: FakeBench,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    target: str, at: int, error: BaseException, bench: FakeBench, tmp_path: Path, capsys: Capture, monkeypatch: Patch
 ) -> None:
     assert ends_well(target, at, error, bench, tmp_path, monkeypatch)
     shown = capsys.readouterr()
@@ -242,9 +234,7 @@ def test_an_error_leaves_the_arm_standing_and_what_is_known(
 @pytest.mark.slow
 @pytest.mark.parametrize("error", ENDS, ids=lambda error: type(error).__name__)
 @pytest.mark.parametrize("target", [*ROBOT, *RECORDER, *WATCH, *COMMAND])
-def test_every_call_may_fail(
-    target: str, error: BaseException, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_call_may_fail(target: str, error: BaseException, tmp_path: Path, capsys: Capture) -> None:
     for at in range(1, 200):
         with pytest.MonkeyPatch.context() as monkeypatch:
             (tmp_path / "e.json").unlink(missing_ok=True)
@@ -254,9 +244,7 @@ def test_every_call_may_fail(
     assert 1 < at < 199
 
 
-def test_an_interrupted_halt_is_tried_again(
-    bench: FakeBench, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupted_halt_is_tried_again(bench: FakeBench, capsys: Capture, monkeypatch: Patch) -> None:
     fail_once(monkeypatch, "tests.cli.fake_bench.FakeRobot.halt", 1, KeyboardInterrupt())
     fail_once(monkeypatch, "tests.cli.fake_bench.FakeRobot.touch", 2, RuntimeError("a bug"))
     assert main(TWICE) == 1
@@ -264,9 +252,7 @@ def test_an_interrupted_halt_is_tried_again(
     assert re.search(r"^  arm +at rest$", capsys.readouterr().out, re.MULTILINE)
 
 
-def test_an_arm_that_was_not_reached_is_told_loudly(
-    bench: FakeBench, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_arm_that_was_not_reached_is_told_loudly(bench: FakeBench, capsys: Capture, monkeypatch: Patch) -> None:
     monkeypatch.setattr(FakeRobot, "halt", lambda robot, reason: False)
     fail_once(monkeypatch, "tests.cli.fake_bench.FakeRobot.touch", 2, RuntimeError("a bug"))
     assert main(TWICE) == 1
@@ -275,12 +261,7 @@ def test_an_arm_that_was_not_reached_is_told_loudly(
 
 @pytest.mark.parametrize(("flag", "name"), [("--picture", "e.png"), ("--map", "e.npz"), ("--json", "e.json")])
 def test_an_output_that_cannot_be_written_does_not_keep_the_others(
-    flag: str,
-    name: str,
-    bench: FakeBench,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    flag: str, name: str, bench: FakeBench, tmp_path: Path, capsys: Capture, monkeypatch: Patch
 ) -> None:
     outputs = {"--picture": tmp_path / "e.png", "--map": tmp_path / "e.npz", "--json": tmp_path / "e.json"}
     arguments = [word for pair in outputs.items() for word in map(str, pair)]
@@ -302,7 +283,7 @@ def test_an_output_that_cannot_be_written_does_not_keep_the_others(
 
 @pytest.mark.parametrize("number", slow_but([signal.SIGTERM], [signal.SIGTERM, signal.SIGHUP]))
 def test_a_signal_while_it_computes_is_no_loss(
-    number: int, bench: FakeBench, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    number: int, bench: FakeBench, tmp_path: Path, capsys: Capture, monkeypatch: Patch
 ) -> None:
     """It comes with the last touch, when no control period follows that could notice it."""
     touch_of: Callable[..., Any] = FakeRobot.touch
@@ -322,9 +303,7 @@ def test_a_signal_while_it_computes_is_no_loss(
     assert "the arm is stopped" in capsys.readouterr().err
 
 
-def test_a_second_ctrl_c_leaves_at_once(
-    bench: FakeBench, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_second_ctrl_c_leaves_at_once(bench: FakeBench, tmp_path: Path, capsys: Capture, monkeypatch: Patch) -> None:
     def interrupted(robot: FakeRobot, *arguments: Any) -> None:
         signal.raise_signal(signal.SIGINT)
         signal.raise_signal(signal.SIGINT)
@@ -342,7 +321,7 @@ def test_a_second_ctrl_c_leaves_at_once(
 
 
 def test_terminal_json_panel_and_map_file_give_the_same_numbers(
-    bench: FakeBench, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    bench: FakeBench, tmp_path: Path, capsys: Capture
 ) -> None:
     from deformscope.log.exploration.summary import summary
     from deformscope.pictures.exploration import _headline
@@ -383,7 +362,7 @@ def test_terminal_json_panel_and_map_file_give_the_same_numbers(
 
 @pytest.mark.slow
 def test_a_gradual_surface_has_no_regions_anywhere(
-    bench: FakeBench, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    bench: FakeBench, tmp_path: Path, capsys: Capture, monkeypatch: Patch
 ) -> None:
     from deformscope.stages.regions.posterior import RegionPosterior
 
@@ -402,11 +381,7 @@ def test_a_gradual_surface_has_no_regions_anywhere(
 
 @pytest.mark.parametrize("recorded", [True, False])
 def test_what_devices_lost_is_named_and_a_whole_recording_with_losses_ends_with_3(
-    recorded: bool,
-    bench: FakeBench,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    recorded: bool, bench: FakeBench, tmp_path: Path, capsys: Capture, monkeypatch: Patch
 ) -> None:
     lost = {"tip": {"readings": 12, "reconnects": 1}}
     monkeypatch.setattr("deformscope.recording.losses.losses_of", lambda report: lost)

@@ -27,6 +27,7 @@ from deformscope_drivers.errors import SettingsRefused
 from deformscope_drivers.jaco.chains import J2N6S300
 from deformscope_drivers.optoforce import Optoforce
 from studies.reach import reach
+from tests.cases import Capture, Patch
 from tests.cli.quick_scene import use_quick_scene
 from tests.cli.rig_on_a_simulated_clock import count_as_real, use_a_simulated_clock
 from tests.verified import verify_here
@@ -38,7 +39,7 @@ assert "socketcan:can0" in RIG
 
 
 @pytest.fixture
-def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def rig(tmp_path: Path, monkeypatch: Patch) -> Path:
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "rig.toml"
     path.write_text(RIG)
@@ -46,14 +47,12 @@ def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
-def simulated_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+def simulated_clock(monkeypatch: Patch) -> None:
     use_a_simulated_clock(monkeypatch)
     use_quick_scene(monkeypatch)
 
 
-def explored_recorded_and_replayed(
-    rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def explored_recorded_and_replayed(rig: Path, tmp_path: Path, capsys: Capture, monkeypatch: Patch) -> None:
     """All is asked of the doubles that is asked of real devices."""
     count_as_real(monkeypatch)
     record, told = tmp_path / "r.rrd", tmp_path / "r.json"
@@ -75,7 +74,7 @@ def explored_recorded_and_replayed(
 @pytest.mark.slow  # test_explore_arms.py has the way of a rig, test_explore_command.py this arm
 @pytest.mark.usefixtures("simulated_clock")
 def test_a_rig_of_doubles_is_explored_recorded_and_replayed(
-    rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    rig: Path, tmp_path: Path, capsys: Capture, monkeypatch: Patch
 ) -> None:
     explored_recorded_and_replayed(rig, tmp_path, capsys, monkeypatch)
 
@@ -83,7 +82,7 @@ def test_a_rig_of_doubles_is_explored_recorded_and_replayed(
 @pytest.mark.slow
 @pytest.mark.usefixtures("simulated_clock")
 def test_with_clocks_apart_it_is_explored_recorded_and_replayed(
-    rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    rig: Path, tmp_path: Path, capsys: Capture, monkeypatch: Patch
 ) -> None:
     """`calibrate time` found the arm 20 ms late: all its stamps are put back, and a replay gives the same results."""
     rig.write_text(RIG + '[calibrated.time]\ndate = 2026-01-02\noffset_s = 0.02\ndevice = "arm"\nbeside = "tip"\n')
@@ -105,7 +104,7 @@ def test_a_device_later_than_it_may_be_silent_is_refused(rig: Path) -> None:
 
 @pytest.mark.realtime
 def test_a_rig_of_doubles_is_explored_on_the_hosts_clock(
-    rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    rig: Path, tmp_path: Path, capsys: Capture, monkeypatch: Patch
 ) -> None:
     explored_recorded_and_replayed(rig, tmp_path, capsys, monkeypatch)
 
@@ -117,7 +116,7 @@ MOST_MS = 30.0
 @pytest.mark.slow
 @pytest.mark.realtime
 def test_the_supervisor_looks_in_time_while_plans_and_maps_are_computed(
-    rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    rig: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     found = tmp_path / "r.json"
     arguments = ["explore", str(rig), "--touches", "20", "--threshold", "0.001", "--json", str(found)]
@@ -137,9 +136,7 @@ def test_the_supervisor_looks_in_time_while_plans_and_maps_are_computed(
 
 
 @pytest.mark.usefixtures("simulated_clock")
-def test_a_real_arm_does_not_move_unless_somebody_says_yes(
-    rig: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_real_arm_does_not_move_unless_somebody_says_yes(rig: Path, capsys: Capture, monkeypatch: Patch) -> None:
     count_as_real(monkeypatch)
     monkeypatch.setattr(sys, "stdin", io.StringIO("yes\n"))
     moved: list[Any] = []
@@ -151,9 +148,7 @@ def test_a_real_arm_does_not_move_unless_somebody_says_yes(
 
 
 @pytest.mark.usefixtures("simulated_clock")
-def test_an_arm_that_is_not_calibrated_does_not_move(
-    rig: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_arm_that_is_not_calibrated_does_not_move(rig: Path, capsys: Capture, monkeypatch: Patch) -> None:
     rig.write_text(rig.read_text().replace("compliance_m_per_n = 2e-4\ncompliance_sd = 2e-5", ""))
     calibrated = {"[tool] compliance_m_per_n": False, "[camera] T_arm_camera": False}
     count_as_real(monkeypatch, calibrated=calibrated)
@@ -178,7 +173,7 @@ def test_an_arm_that_is_not_calibrated_does_not_move(
     ],
 )
 def test_a_rig_that_cannot_explore_is_refused_in_one_line(
-    old: str, new: str, words: str, rig: Path, capsys: pytest.CaptureFixture[str]
+    old: str, new: str, words: str, rig: Path, capsys: Capture
 ) -> None:
     text = rig.read_text()
     assert old in text
@@ -209,12 +204,7 @@ def test_a_rig_that_cannot_explore_is_refused_in_one_line(
     ],
 )
 def test_what_goes_wrong_before_the_checks_is_told_in_one_line(
-    what: type,
-    error: Exception,
-    words: str,
-    rig: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    what: type, error: Exception, words: str, rig: Path, capsys: Capture, monkeypatch: Patch
 ) -> None:
     def fail(device: object) -> None:
         raise error
@@ -226,7 +216,7 @@ def test_what_goes_wrong_before_the_checks_is_told_in_one_line(
     assert said.count("\n") == 1
 
 
-def test_faults_are_for_simulated_scenes(rig: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_faults_are_for_simulated_scenes(rig: Path, capsys: Capture) -> None:
     assert main(["explore", str(rig), "--fault", "storm@1"]) == 2
     assert "lab:two-60-150" in capsys.readouterr().err
 
@@ -247,19 +237,19 @@ def test_the_compliance_of_an_arm_is_measured_and_written_into_its_rig_file(rig:
 
 
 @pytest.mark.parametrize("at", ["9,9", "-0.1,0.2", "0.3,0.41"])
-def test_an_arm_is_not_sent_beside_the_surface(at: str, rig: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_arm_is_not_sent_beside_the_surface(at: str, rig: Path, capsys: Capture) -> None:
     assert main(["calibrate", "arm", str(rig), f"--at={at}", "--yes"]) == 2
     assert "between 0,0 and 0.6,0.4 m" in capsys.readouterr().err
 
 
-def test_doctor_says_whether_a_rig_can_explore(rig: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_doctor_says_whether_a_rig_can_explore(rig: Path, capsys: Capture) -> None:
     rig.write_text(rig.read_text().replace("two-60-150", "tow-60-150"))
     assert main(["doctor", str(rig), "--seconds", "0.5"]) == 0
     (told,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("look") and "explore" in line]
     assert "try: two-60-150" in told
 
 
-def test_doctor_lists_what_there_is_to_do_once(rig: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_doctor_lists_what_there_is_to_do_once(rig: Path, capsys: Capture) -> None:
     assert main(["doctor", "--example", "--doubles"]) == 0
     rig.write_text(capsys.readouterr().out)
     assert main(["doctor", str(rig), "--seconds", "0.1"]) == 0
@@ -270,9 +260,7 @@ def test_doctor_lists_what_there_is_to_do_once(rig: Path, capsys: pytest.Capture
     assert "(about 1 min)" in shown
 
 
-def test_the_example_fits_together_once_its_lines_are_uncommented(
-    rig: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_example_fits_together_once_its_lines_are_uncommented(rig: Path, capsys: Capture) -> None:
     example = (resources.files("deformscope") / "lab" / "rig-example.toml").read_text(encoding="utf-8")
     for name in ("T_arm_surface", "T_arm_camera", "compliance_m_per_n", "compliance_sd", "scene"):
         example = example.replace(f"# {name} =", f"{name} =")

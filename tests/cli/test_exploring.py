@@ -15,6 +15,7 @@ from deformscope.interruption import until_interrupted
 from deformscope.robot.checks import Check, Preflight
 from deformscope.runs.skeleton import permitted
 from deformscope.session import Inline, Step, run
+from tests.cases import Capture, Patch
 
 WELL, BAD = (Preflight((Check("arm: still", passed, "at rest", "what came"),)) for passed in (True, False))
 
@@ -51,7 +52,7 @@ class Asked:
 
 
 @pytest.fixture
-def ask(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
+def ask(monkeypatch: Patch) -> Iterator[Callable[..., None]]:
     """Ask at a terminal where somebody does this; devices are recorded meanwhile."""
     reading, writing = os.pipe()
     terminal = os.fdopen(reading)
@@ -91,9 +92,7 @@ def test_yes_lets_it_move_if_the_checks_still_pass(ask: Callable[..., int]) -> N
     assert not robot.checked
 
 
-def test_what_was_moved_while_the_question_waited_is_noticed(
-    ask: Callable[..., int], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_was_moved_while_the_question_waited_is_noticed(ask: Callable[..., int], capsys: Capture) -> None:
     robot = Asked(WELL, BAD)
     with pytest.raises(InputError, match="preflight"):
         ask(robot, says(b"yes\n"))

@@ -18,10 +18,11 @@ from deformscope.rig.rig_file import load_rig
 from deformscope.runs.opened_devices import SqueezeOpening
 from deformscope.session import RigExperiment
 from deformscope.stages.squeeze.placement import ContainerSighting, HandPlacement
+from tests.cases import Capture, Patch
 from tests.patience import PATIENCE_S
 
 
-def test_an_arm_that_a_rig_lacks_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_arm_that_a_rig_lacks_is_named(tmp_path: Path, capsys: Capture) -> None:
     rig = tmp_path / "rig.toml"
     hand = '[devices.hand]\ndriver = "sdh"\nport = "/dev/null"\n[devices.pads]\ndriver = "dsa"\nport = "/dev/zero"\n'
     rig.write_text(hand)
@@ -87,9 +88,7 @@ def test_doctor_lists_what_a_rig_lacks_for_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_real_arm_is_asked_for_and_everything_is_looked_at_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_real_arm_is_asked_for_and_everything_is_looked_at_again(tmp_path: Path, monkeypatch: Patch) -> None:
     """The doubles, told to be real: the same way, with its questions."""
     asked: list[str] = []
 

@@ -10,6 +10,7 @@ import pytest
 from deformscope.cli import main
 from deformscope.config import parse_poke, parse_pokes
 from deformscope.lab import slab
+from tests.cases import Capture, Patch
 from tests.stages.pokes import SPACING, STIFFNESS, THICKNESS, poked
 
 
@@ -43,7 +44,7 @@ def test_the_estimate_is_the_public_one_with_the_pokes_beside(folder: Path) -> N
     assert [one["cluster_size"] for one in told["tried"]] == [3]
 
 
-def test_a_poke_is_predicted_with_particles_and_force(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_poke_is_predicted_with_particles_and_force(folder: Path, capsys: Capture) -> None:
     out, picture = folder / "out.npz", folder / "dents.png"
     poke = "at=0.1,0.08 tip=flat size=0.04x0.02 force=1; at=0.08,0.08 depth=0.001"
     flags = ["--poke", poke, "--out", str(out), "--picture", str(picture), "--json", "-"]
@@ -64,9 +65,7 @@ def test_a_poke_is_predicted_with_particles_and_force(folder: Path, capsys: pyte
     assert picture.read_bytes()[:4] == b"\x89PNG"
 
 
-def test_nonsense_is_refused_and_what_is_beyond_the_fit_is_said(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_nonsense_is_refused_and_what_is_beyond_the_fit_is_said(folder: Path, capsys: Capture) -> None:
     model = str(folder / "model.npz")
     for poke, said in (
         ("at=0.09,0.08 depth=3", "try: depths are in metres"),
@@ -83,7 +82,7 @@ def test_nonsense_is_refused_and_what_is_beyond_the_fit_is_said(
     assert json.loads(capsys.readouterr().out)["predictions"][0]["extrapolated"] == []
 
 
-def test_a_range_that_ends_close_above_beta_is_fitted(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_range_that_ends_close_above_beta_is_fitted(folder: Path, capsys: Capture) -> None:
     """The ends of the range are next to the best value on both sides."""
     flags = ["--thickness-m", str(THICKNESS), "--spacing-m", str(SPACING), "--cluster-size", "3", "--viewer", "none"]
     args = ["calibrate", "beta", str(folder / "poke.npz"), *flags, "--theta", "0.7", "--json", "-"]
@@ -94,7 +93,7 @@ def test_a_range_that_ends_close_above_beta_is_fitted(folder: Path, capsys: pyte
     assert told["explained"] > 0.99
 
 
-def test_pokes_in_other_units_are_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_pokes_in_other_units_are_refused(folder: Path, capsys: Capture) -> None:
     with np.load(folder / "poke.npz") as file:
         found = dict(file)
     flags = ["--viewer", "none"]
@@ -111,7 +110,7 @@ def test_pokes_in_other_units_are_refused(folder: Path, capsys: pytest.CaptureFi
     assert "less deep than the 1 mm" in capsys.readouterr().err
 
 
-def test_points_of_the_users_own_are_told_too(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_points_of_the_users_own_are_told_too(folder: Path, capsys: Capture) -> None:
     points = np.array([[0.09, 0.08, THICKNESS], [0.123, 0.081, THICKNESS]])
     np.savez(folder / "points.npz", points=points)
     flags = ["--poke", "at=0.09,0.08 depth=0.002", "--points", str(folder / "points.npz"), "--json", "-"]
@@ -124,7 +123,7 @@ def test_points_of_the_users_own_are_told_too(folder: Path, capsys: pytest.Captu
 
 @pytest.mark.parametrize("finest_m", [0.01, pytest.param(None, marks=pytest.mark.slow)])
 def test_an_unseen_poke_is_compared_with_what_else_one_might_take(
-    finest_m: float | None, folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    finest_m: float | None, folder: Path, capsys: Capture, monkeypatch: Patch
 ) -> None:
     """finest_m: of the finite elements' mesh, None = as users get it"""
     monkeypatch.setattr("deformscope.runs.poke_comparison.press", partial(slab.press, finest=finest_m))
@@ -150,12 +149,12 @@ def test_an_unseen_poke_is_compared_with_what_else_one_might_take(
     }
 
 
-def test_a_recording_of_pokes_replays_to_the_same_numbers(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_recording_of_pokes_replays_to_the_same_numbers(folder: Path, capsys: Capture) -> None:
     assert main(["replay", str(folder / "run.rrd"), "--viewer", "none"]) == 0
     assert "replay: " in capsys.readouterr().err
 
 
-def test_an_existing_model_is_kept_unless_told(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_existing_model_is_kept_unless_told(folder: Path, capsys: Capture) -> None:
     before = (folder / "model.npz").read_bytes()
     flags = ["--thickness-m", str(THICKNESS), "--save", str(folder / "model.npz"), "--viewer", "none"]
     assert main(["calibrate", "beta", str(folder / "poke.npz"), *flags]) != 0
@@ -198,9 +197,7 @@ def test_several_pokes_stand_behind_one_flag() -> None:
         (["MODEL", "--against", "NOTHING"], "a pair file (.npz)"),
     ],
 )
-def test_mistakes_are_told_in_one_line(
-    folder: Path, capsys: pytest.CaptureFixture[str], args: list[str], said: str
-) -> None:
+def test_mistakes_are_told_in_one_line(folder: Path, capsys: Capture, args: list[str], said: str) -> None:
     names = {"MODEL": folder / "model.npz", "PAIR": folder / "poke.npz", "NOTHING": folder / "nothing.npz"}
     assert main(["predict", *[str(names.get(one, one)) for one in args]]) != 0
     error = capsys.readouterr().err

@@ -17,6 +17,7 @@ from deformscope.cli import main
 from deformscope.frames import HealthReport, Item, RawBytes, WrenchFrame
 from deformscope.recording.items import read_items
 from deformscope.recording.ledger import check_recording, ledger_path, read_ledger
+from tests.cases import Capture, Patch
 from tests.patience import PATIENCE_S
 from tests.verified import verify_here
 
@@ -99,7 +100,7 @@ def wait_for(stream: IO[str] | None, words: str) -> str:
     raise AssertionError(f"{words!r} was not said; but: {seen}")
 
 
-def test_a_bench_of_doubles_is_recorded_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_bench_of_doubles_is_recorded_whole(tmp_path: Path, capsys: Capture) -> None:
     file, told = tmp_path / "r.rrd", tmp_path / "r.json"
     assert main(["record", "lab:bench", "--seconds", "2", "--record", str(file), "--json", str(told)]) in WHOLE
     found = json.loads(told.read_text())
@@ -156,7 +157,7 @@ def test_ctrl_c_ends_a_recording_cleanly(rig: Path, tmp_path: Path, started: lis
 
 @pytest.mark.slow
 def test_what_was_written_before_a_kill_is_readable(
-    rig: Path, tmp_path: Path, started: list[subprocess.Popen[str]], capsys: pytest.CaptureFixture[str]
+    rig: Path, tmp_path: Path, started: list[subprocess.Popen[str]], capsys: Capture
 ) -> None:
     """Slow: test_recorder.py has it for the recorder alone."""
     process = start(started, "record", rig, "--record", "r.rrd", cwd=tmp_path)
@@ -177,7 +178,7 @@ def test_what_was_written_before_a_kill_is_readable(
 
 @pytest.mark.slow  # two processes on doubles
 def test_two_recordings_of_one_device_do_not_mix(
-    tmp_path: Path, started: list[subprocess.Popen[str]], capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, started: list[subprocess.Popen[str]], capsys: Capture
 ) -> None:
     double = start(started, "double", "optoforce", cwd=tmp_path)
     wait_for(double.stdout, "[devices.optoforce]")
@@ -196,7 +197,7 @@ def test_two_recordings_of_one_device_do_not_mix(
     assert verify_here(tmp_path / "first.rrd") in WHOLE
 
 
-def test_a_flipped_bit_is_found(recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_flipped_bit_is_found(recorded: Path, tmp_path: Path, capsys: Capture) -> None:
     file = copied(recorded, tmp_path)
     content = bytearray(file.read_bytes())
     content[len(content) // 2] ^= 4
@@ -205,9 +206,7 @@ def test_a_flipped_bit_is_found(recorded: Path, tmp_path: Path, capsys: pytest.C
     assert "differ from what was recorded" in capsys.readouterr().err
 
 
-def test_doctor_says_what_works_and_what_does_not(
-    rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_doctor_says_what_works_and_what_does_not(rig: Path, tmp_path: Path, capsys: Capture) -> None:
     assert main(["doctor", str(rig), "--seconds", "0.5"]) == 0
     assert "ok    tip (optoforce, double)" in capsys.readouterr().out
     broken = tmp_path / "broken.toml"
@@ -219,7 +218,7 @@ def test_doctor_says_what_works_and_what_does_not(
     assert findings["pads (dsa, double)"]["verdict"] == "ok"
 
 
-def test_the_example_of_doctor_is_a_rig_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_example_of_doctor_is_a_rig_file(tmp_path: Path, capsys: Capture) -> None:
     from deformscope.rig.rig_file import parse_rig
 
     assert main(["doctor", "--example"]) == 0
@@ -227,10 +226,7 @@ def test_the_example_of_doctor_is_a_rig_file(tmp_path: Path, capsys: pytest.Capt
 
 
 def test_devices_lists_running_doubles_with_serial_and_health(
-    tmp_path: Path,
-    started: list[subprocess.Popen[str]],
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path, started: list[subprocess.Popen[str]], capsys: Capture, monkeypatch: Patch
 ) -> None:
     double = start(started, "double", "optoforce", "dsa", cwd=tmp_path)
     wait_for(double.stdout, "[devices.dsa]")
@@ -247,9 +243,7 @@ def test_devices_lists_running_doubles_with_serial_and_health(
     assert not [entry for entry in json.loads(capsys.readouterr().out) if "double" in entry["note"]]
 
 
-def test_devices_on_a_machine_with_none_helps(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_devices_on_a_machine_with_none_helps(capsys: Capture, monkeypatch: Patch) -> None:
     from deformscope.cli import devices
 
     monkeypatch.setattr(devices, "_found", list)
@@ -259,7 +253,7 @@ def test_devices_on_a_machine_with_none_helps(
     assert "record lab:bench" in said
 
 
-def test_a_device_without_a_port_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_device_without_a_port_is_named(tmp_path: Path, capsys: Capture) -> None:
     path = tmp_path / "rig.toml"
     path.write_text(f'[devices.hand]\ndriver = "sdh"\n[record]\nfolder = "{tmp_path}"\n')
     assert main(["record", str(path)]) == 2
@@ -268,21 +262,19 @@ def test_a_device_without_a_port_is_named(tmp_path: Path, capsys: pytest.Capture
     assert "device hand" in told
 
 
-def test_double_wants_to_know_what(capsys: pytest.CaptureFixture[str]) -> None:
+def test_double_wants_to_know_what(capsys: Capture) -> None:
     assert main(["double"]) == 2
     assert "deformscope double optoforce" in capsys.readouterr().err
 
 
-def test_a_damaged_ledger_is_told(recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_damaged_ledger_is_told(recorded: Path, tmp_path: Path, capsys: Capture) -> None:
     recording = copied(recorded, tmp_path)
     ledger_path(recording).write_text("{")
     assert main(["verify", str(recording)]) == 2
     assert "it is damaged" in capsys.readouterr().err
 
 
-def test_a_device_that_is_gone_is_named_with_what_it_cost(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_device_that_is_gone_is_named_with_what_it_cost(tmp_path: Path, capsys: Capture, monkeypatch: Patch) -> None:
     from deformscope.lab.double_device import wire_of
     from deformscope.rig.driver_table import DRIVERS
     from deformscope.rig.source import RigSource
@@ -321,9 +313,7 @@ def test_a_device_that_is_gone_is_named_with_what_it_cost(
 
 
 @pytest.mark.slow  # Ctrl-C below ends one as early
-def test_a_rig_that_is_ended_early_says_so(
-    rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_rig_that_is_ended_early_says_so(rig: Path, tmp_path: Path, capsys: Capture, monkeypatch: Patch) -> None:
     from deformscope.rig.source import RigSource
 
     file, told = tmp_path / "r.rrd", tmp_path / "r.json"

@@ -40,6 +40,7 @@ from deformscope.stages.squeeze.trial import (
     TrackedContainer,
 )
 from deformscope_drivers.clock import Stamp
+from tests.cases import Capture, Patch
 from tests.experiments.toy_squeeze import ToySqueeze, limits
 from tests.verified import verify_here
 
@@ -47,7 +48,7 @@ LABS: list[ToySqueeze] = []
 
 
 @pytest.fixture(autouse=True)
-def toy(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+def toy(monkeypatch: Patch) -> dict[str, Any]:
     """The command squeezes toy containers: a content is a stiffness."""
     changes: dict[str, Any] = {"setup": {}, "lab": {"camera": False}}
 
@@ -77,7 +78,7 @@ def squeeze(tmp_path: Path, *more: str) -> tuple[int, dict[str, Any]]:
 
 @pytest.mark.slow
 def test_tactile_frames_have_their_results_where_devices_fail_to_close(
-    tmp_path: Path, toy: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, toy: dict[str, Any], monkeypatch: Patch
 ) -> None:
     close = RigSource.close
 
@@ -104,7 +105,7 @@ def test_tactile_frames_have_their_results_where_devices_fail_to_close(
 
 
 def test_a_recorded_squeeze_replays_to_the_last_bit(
-    tmp_path: Path, toy: dict[str, Any], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, toy: dict[str, Any], capsys: Capture, monkeypatch: Patch
 ) -> None:
     toy["lab"] = {"camera": True}
     file = tmp_path / "r.rrd"
@@ -131,7 +132,7 @@ def test_a_recorded_squeeze_replays_to_the_last_bit(
     assert "another" in capsys.readouterr().err
 
 
-def test_a_data_set_grows_and_is_corrected(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_data_set_grows_and_is_corrected(tmp_path: Path, capsys: Capture) -> None:
     folder = tmp_path / "d"
     for content in ("rice", "empty"):
         where = ["--dataset", str(folder), "--session", "s", "--keep", "features"]
@@ -165,7 +166,7 @@ def test_a_recording_that_the_index_lacks_is_taken_in_again(tmp_path: Path) -> N
 
 
 def test_a_stopped_squeeze_is_kept_as_discarded_with_its_reason(
-    tmp_path: Path, toy: dict[str, Any], capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, toy: dict[str, Any], capsys: Capture
 ) -> None:
     toy["setup"] = {"squeeze": dataclasses.replace(ToySqueeze().squeeze, saturation_counts=200)}
     folder = tmp_path / "d"
@@ -222,7 +223,7 @@ def seeing_model() -> ContentModel:
 
 @pytest.mark.slow
 def test_the_container_is_tracked_and_seen_while_it_is_squeezed_and_replayed(
-    tmp_path: Path, toy: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, toy: dict[str, Any], monkeypatch: Patch
 ) -> None:
     toy["lab"] = {"camera": True}
     model, file = tmp_path / "m.npz", tmp_path / "r.rrd"
@@ -273,7 +274,7 @@ def test_the_container_is_tracked_and_seen_while_it_is_squeezed_and_replayed(
 
 
 @pytest.mark.parametrize("order", [1, -1])
-def test_the_container_is_sought_again_in_the_images_of_its_camera(order: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_container_is_sought_again_in_the_images_of_its_camera(order: int, monkeypatch: Patch) -> None:
     nothing = np.zeros(0, np.int64)
     sighting = ContainerSighting(7, np.array([7]), 1, 1, "before", False, None, "none", None, nothing)
     monkeypatch.setattr(items, "read_results", lambda *_, **__: [SimpleNamespace(item=sighting)])
@@ -301,15 +302,13 @@ def rows_of(file: Path, kind: type) -> list[Any]:
         (["--content", "rice", "--grasp", "5,0,0"], "--grasp with --place jaco or kuka"),
     ],
 )
-def test_what_makes_no_trial_is_refused_in_one_line(
-    given: list[str], expected: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_makes_no_trial_is_refused_in_one_line(given: list[str], expected: str, capsys: Capture) -> None:
     assert main(["squeeze", "lab:containers", *given]) == 2
     assert expected in capsys.readouterr().err
 
 
 def test_a_real_hand_waits_for_somebody_who_says_yes(
-    tmp_path: Path, toy: dict[str, Any], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, toy: dict[str, Any], capsys: Capture, monkeypatch: Patch
 ) -> None:
     toy["setup"] = {"simulated": False}
     monkeypatch.setattr("sys.stdin.isatty", lambda: False, raising=False)

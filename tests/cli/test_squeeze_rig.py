@@ -15,6 +15,7 @@ from deformscope.cli.common import EXIT_LOSSES
 from deformscope.experiments.squeeze.squeezing_hand import SqueezingHand
 from deformscope.files.squeeze_dataset import SqueezeDataset
 from deformscope.recording.items import read_items
+from tests.cases import Capture, Patch
 from tests.cli.squeeze_rig_on_a_simulated_clock import SimulatedSqueezeRig, use_simulated_squeeze_rigs
 from tests.experiments.toy_squeeze import spoil_arrays
 from tests.verified import verify_here
@@ -47,7 +48,7 @@ MS = 1_000_000
 
 
 @pytest.fixture
-def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def rig(tmp_path: Path, monkeypatch: Patch) -> Path:
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "rig.toml"
     path.write_text(RIG)
@@ -62,7 +63,7 @@ def squeeze(rig: Path, *more: str) -> tuple[int, dict[str, Any]]:
     return status, json.loads(target.read_text()) if target.exists() else {}
 
 
-def squeezed_recorded_and_replayed(rig: Path, capsys: pytest.CaptureFixture[str], *allowed: int) -> None:
+def squeezed_recorded_and_replayed(rig: Path, capsys: Capture, *allowed: int) -> None:
     """allowed: exit statuses beside 0, as a busy machine loses frames"""
     status, found = squeeze(rig, "--dataset", "d")
     assert status in (0, *allowed), capsys.readouterr().err
@@ -81,16 +82,14 @@ def squeezed_recorded_and_replayed(rig: Path, capsys: pytest.CaptureFixture[str]
     assert main(["replay", str(recording)]) == 0, capsys.readouterr().err
 
 
-def test_a_rig_of_doubles_squeezes_records_and_replays(
-    rig: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_rig_of_doubles_squeezes_records_and_replays(rig: Path, capsys: Capture, monkeypatch: Patch) -> None:
     made = use_simulated_squeeze_rigs(monkeypatch)
     squeezed_recorded_and_replayed(rig, capsys)
     assert made[0].limits_a() == BEFORE_A
 
 
 @pytest.mark.realtime
-def test_a_rig_of_doubles_squeezes_on_the_hosts_clock(rig: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_rig_of_doubles_squeezes_on_the_hosts_clock(rig: Path, capsys: Capture) -> None:
     squeezed_recorded_and_replayed(rig, capsys, EXIT_LOSSES)
 
 
@@ -114,9 +113,7 @@ def interrupt() -> None:
     os.kill(os.getpid(), signal.SIGINT)
 
 
-def test_ctrl_c_while_it_squeezes(
-    rig: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ctrl_c_while_it_squeezes(rig: Path, capsys: Capture, monkeypatch: Patch) -> None:
     made = use_simulated_squeeze_rigs(monkeypatch, lambda lab: setattr(lab, "at_contact", interrupt))
     status, found = squeeze(rig, "--dataset", "d")
     assert status == 128 + signal.SIGINT
@@ -124,9 +121,7 @@ def test_ctrl_c_while_it_squeezes(
     kept_as_discarded(made[0], found, "a person asked: Ctrl-C")
 
 
-def test_a_hand_that_is_lost_while_it_squeezes(
-    rig: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_hand_that_is_lost_while_it_squeezes(rig: Path, capsys: Capture, monkeypatch: Patch) -> None:
     def lose(lab: SimulatedSqueezeRig) -> None:
         hand = lab.lab.simulated.hand
 
@@ -144,9 +139,7 @@ def test_a_hand_that_is_lost_while_it_squeezes(
 
 
 @pytest.mark.slow  # the next one shows the same with a Ctrl-C on top
-def test_a_saturated_texel_while_it_squeezes(
-    rig: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_saturated_texel_while_it_squeezes(rig: Path, capsys: Capture, monkeypatch: Patch) -> None:
     rig.write_text(rig.read_text() + "saturation_counts = 60\n")
     made = use_simulated_squeeze_rigs(monkeypatch)
     status, found = squeeze(rig, "--dataset", "d")
@@ -156,7 +149,7 @@ def test_a_saturated_texel_while_it_squeezes(
 
 
 def test_arrays_that_read_nothing_while_something_holds_the_fingers(
-    rig: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    rig: Path, capsys: Capture, monkeypatch: Patch
 ) -> None:
     def spoil(lab: SimulatedSqueezeRig) -> None:
         lab.at_contact = lambda: spoil_arrays(lab.lab.simulated.pads, "dead")
@@ -169,9 +162,7 @@ def test_arrays_that_read_nothing_while_something_holds_the_fingers(
     kept_as_discarded(made[0], found, "tactile arrays contradict the fingers: finger ")
 
 
-def test_a_ctrl_c_that_comes_later_is_not_the_reason(
-    rig: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_ctrl_c_that_comes_later_is_not_the_reason(rig: Path, capsys: Capture, monkeypatch: Patch) -> None:
     rig.write_text(rig.read_text() + "saturation_counts = 60\n")
 
     def soon(lab: SimulatedSqueezeRig) -> None:
@@ -187,9 +178,7 @@ def test_a_ctrl_c_that_comes_later_is_not_the_reason(
 
 
 @pytest.mark.realtime
-def test_ctrl_c_on_the_hosts_clock(
-    rig: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ctrl_c_on_the_hosts_clock(rig: Path, capsys: Capture, monkeypatch: Patch) -> None:
     begin = SqueezingHand.begin
 
     def began(hand: SqueezingHand, phase: str) -> None:
@@ -217,7 +206,7 @@ def test_ctrl_c_on_the_hosts_clock(
     ],
 )
 def test_a_rig_that_cannot_squeeze_is_refused_in_one_line(
-    old: str, new: str, words: str, rig: Path, capsys: pytest.CaptureFixture[str]
+    old: str, new: str, words: str, rig: Path, capsys: Capture
 ) -> None:
     assert old in RIG
     rig.write_text(RIG.replace(old, new))
@@ -227,7 +216,7 @@ def test_a_rig_that_cannot_squeeze_is_refused_in_one_line(
     assert said.count("\n") == 1
 
 
-def test_a_content_that_nobody_simulates_is_refused_in_one_line(rig: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_content_that_nobody_simulates_is_refused_in_one_line(rig: Path, capsys: Capture) -> None:
     assert main(["squeeze", str(rig), "--content", "sand", "--viewer", "none"]) == 2
     said = capsys.readouterr().err
     assert "empty, water, yogurt, flour, rice; got 'sand'" in said

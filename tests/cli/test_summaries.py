@@ -11,6 +11,7 @@ import pytest
 
 from deformscope.cli import main
 from deformscope.stages.msm import reference
+from tests.cases import Capture, Patch
 from tests.pictures.test_report import Page
 from tests.stages import reference_states
 from tests.stages.bodies import pushed
@@ -41,7 +42,7 @@ def summaries(arguments: list[str], folder: Path) -> tuple[np.ndarray, Page, str
     return picture, page, text
 
 
-def test_pair(pair: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_pair(pair: Path, tmp_path: Path, monkeypatch: Patch, capsys: Capture) -> None:
     monkeypatch.setattr(sys, "argv", ["/somewhere/deformscope", "calibrate", "beta", str(pair), "--seed", "3"])
     json_file = tmp_path / "found.json"
     arguments = ["calibrate", "beta", str(pair), "--json", str(json_file), "--seed", "3"]
@@ -102,7 +103,7 @@ def test_images_show_the_last_frame(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_pokes_have_their_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_pokes_have_their_table(tmp_path: Path, capsys: Capture) -> None:
     pokes = []
     axes = np.meshgrid(np.linspace(0.02, 0.1, 9), np.linspace(0.02, 0.1, 9), indexing="ij")
     rest = np.column_stack([np.stack(axes, axis=-1).reshape(-1, 2), np.full(81, 0.03)])
@@ -144,15 +145,13 @@ def test_pokes_have_their_table(tmp_path: Path, capsys: pytest.CaptureFixture[st
     ],
 )
 def test_what_cannot_be_written_is_refused_at_once(
-    pair: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], flag: str, name: str, expected: str
+    pair: Path, tmp_path: Path, capsys: Capture, flag: str, name: str, expected: str
 ) -> None:
     assert main(["calibrate", "beta", str(pair), flag, str(tmp_path / name)]) == 2
     assert expected in capsys.readouterr().err
 
 
-def test_plane_and_space_do_not_fit_into_one_recording(
-    pair: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_plane_and_space_do_not_fit_into_one_recording(pair: Path, tmp_path: Path, capsys: Capture) -> None:
     body = pushed((3, 3, 3), np.random.default_rng(0))
     other = tmp_path / "c.npz"
     np.savez(other, rest=body.rest, deformed=1.02 * body.rest, held=body.held)
@@ -161,7 +160,7 @@ def test_plane_and_space_do_not_fit_into_one_recording(
     assert not list(tmp_path.glob("*.rrd"))
 
 
-def test_a_source_is_not_written_over(pair: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_source_is_not_written_over(pair: Path, capsys: Capture) -> None:
     copy = pair.with_suffix(".html")
     shutil.copy(pair, copy)
     before = copy.read_bytes()

@@ -28,7 +28,7 @@ from deformscope.errors import InputError
 from deformscope.executor.local import HereWorker
 from deformscope.file_io import sample_path
 from deformscope.recording.ledger import add_discard, read_discards
-from tests.cases import slow
+from tests.cases import Capture, Patch, slow
 from tests.executor.test_tasks import paths_of_tests
 from tests.patience import PATIENCE_S
 from tests.test_imports import ROOT
@@ -56,7 +56,7 @@ def pairs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def here(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def here(monkeypatch: Patch) -> Iterator[None]:
     """Tasks are computed in this process, where it is not the worker that counts."""
     threads = cv2.getNumThreads()
     monkeypatch.setattr("deformscope.runs.sweep.open_workers", lambda *_, **__: contextlib.nullcontext(HereWorker()))
@@ -161,9 +161,7 @@ def test_files_that_a_killed_worker_left_are_made_anew(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("here")
-def test_what_decides_a_result_beside_the_file_makes_another_task(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_decides_a_result_beside_the_file_makes_another_task(tmp_path: Path, monkeypatch: Patch) -> None:
     """The ledger, with what is discarded, a folder among the options, and the code that computes."""
     about, source = tmp_path / "about", tmp_path / "a.rrd"
     about.mkdir()
@@ -231,7 +229,7 @@ def threads_of(source: str) -> dict[str, int]:
     ],
 )
 def test_what_cannot_be_swept_is_said_in_one_line(
-    flags: list[str], command: list[str], words: str, pairs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    flags: list[str], command: list[str], words: str, pairs: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     assert main(["sweep", str(pairs), "--out", str(tmp_path / "out"), *flags, "--", *command]) == 2
     said = capsys.readouterr().err
@@ -279,7 +277,7 @@ ds.sweep(spread, Path(sys.argv[1]), out=sys.argv[2], workers=2, scale=2.0, progr
 """
 
 
-def killed_and_equal(tmp_path: Path, count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def killed_and_equal(tmp_path: Path, count: int, monkeypatch: Patch) -> None:
     """Killed by -9 three times: each is in the journal once, and equal to what one process computes."""
     folder, out, traces = generated(tmp_path / "in", count), tmp_path / "out", tmp_path / "traces"
     traces.mkdir()
@@ -306,12 +304,12 @@ def killed_and_equal(tmp_path: Path, count: int, monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.slow
-def test_a_sweep_that_is_killed_three_times_computes_each_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_sweep_that_is_killed_three_times_computes_each_once(tmp_path: Path, monkeypatch: Patch) -> None:
     killed_and_equal(tmp_path, 80, monkeypatch)
 
 
 @pytest.mark.slow
-def test_a_sweep_of_a_thousand_that_is_killed_three_times(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_sweep_of_a_thousand_that_is_killed_three_times(tmp_path: Path, monkeypatch: Patch) -> None:
     """Slow: a thousand files."""
     killed_and_equal(tmp_path, 1000, monkeypatch)
 
@@ -366,7 +364,7 @@ def test_a_function_that_workers_would_not_find_is_refused(tmp_path: Path) -> No
         ds.sweep(lambda source: 1, [PAIR], out=tmp_path)
 
 
-def test_a_ctrl_c_leaves_what_is_done_as_a_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_ctrl_c_leaves_what_is_done_as_a_table(tmp_path: Path, monkeypatch: Patch) -> None:
     folder, out, traces = generated(tmp_path / "in", 300), tmp_path / "out", tmp_path / "traces"
     traces.mkdir()
     monkeypatch.setenv(TRACES, str(traces))

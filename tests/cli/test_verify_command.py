@@ -23,6 +23,7 @@ from deformscope.recording.recorder import Recorder
 from deformscope.runs import verification
 from deformscope.runs.recovery import recover_recording
 from deformscope_drivers.clock import Stamp
+from tests.cases import Capture, Patch
 from tests.patience import PATIENCE_S
 
 FRAMES = 12
@@ -61,28 +62,26 @@ def killed(made: tuple[Path, Path], tmp_path: Path) -> Path:
     return Path(shutil.copy(made[1], tmp_path / "run.part.rrd"))
 
 
-def verified(path: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, dict[str, object], str]:
+def verified(path: Path, capsys: Capture) -> tuple[int, dict[str, object], str]:
     """(exit status, JSON, what was said on stderr without the table)"""
     status = main(["verify", str(path), "--json", "-"])
     said = capsys.readouterr()
     return status, json.loads(said.out), said.err
 
 
-def test_a_whole_recording(whole: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_whole_recording(whole: Path, capsys: Capture) -> None:
     status, found, _ = verified(whole, capsys)
     assert (status, found["ok"], found["checked"], found["finished"]) == (0, True, True, True)
 
 
-def test_without_a_ledger_nothing_is_called_checked(whole: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_a_ledger_nothing_is_called_checked(whole: Path, capsys: Capture) -> None:
     ledger_path(whole).unlink()
     status, found, said = verified(whole, capsys)
     assert (status, found["ok"], found["checked"], found["problems"]) == (3, None, False, [])
     assert "it has no ledger: changed bytes cannot be detected" in said
 
 
-def test_what_is_wrong_with_the_structure_names_no_folder(
-    whole: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_wrong_with_the_structure_names_no_folder(whole: Path, capsys: Capture, monkeypatch: Patch) -> None:
     """`recover` puts it into a ledger that goes to others."""
     monkeypatch.setattr(
         verification,
@@ -96,7 +95,7 @@ def test_what_is_wrong_with_the_structure_names_no_folder(
 
 @pytest.mark.parametrize(("content", "came"), [(b"of another kind", "a file of another kind"), (b"", "an empty file")])
 def test_a_foreign_file_is_refused_without_the_advice_to_recover_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes, came: str
+    tmp_path: Path, capsys: Capture, content: bytes, came: str
 ) -> None:
     (tmp_path / "r.rrd").write_bytes(content)
     assert main(["verify", str(tmp_path / "r.rrd")]) == 2
@@ -105,9 +104,7 @@ def test_a_foreign_file_is_refused_without_the_advice_to_recover_it(
     assert "recover" not in said
 
 
-def test_an_unfinished_recording_is_no_damage_and_recover_makes_it_whole(
-    killed: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_unfinished_recording_is_no_damage_and_recover_makes_it_whole(killed: Path, capsys: Capture) -> None:
     before = killed.read_bytes()
     status, found, said = verified(killed, capsys)
     assert (status, found["ok"], found["finished"], found["problems"]) == (2, False, False, [])
@@ -133,7 +130,7 @@ def test_an_unfinished_recording_is_no_damage_and_recover_makes_it_whole(
 
 
 @pytest.mark.slow
-def test_a_file_cut_within_a_message_gives_what_came_before(killed: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_file_cut_within_a_message_gives_what_came_before(killed: Path, capsys: Capture) -> None:
     cut = killed.with_name("cut.rrd")
     cut.write_bytes(killed.read_bytes()[: round(0.7 * killed.stat().st_size)])
     status, found, said = verified(cut, capsys)
@@ -148,7 +145,7 @@ def test_a_file_cut_within_a_message_gives_what_came_before(killed: Path, capsys
 
 
 @pytest.mark.slow
-def test_a_cut_recording_is_compared_with_its_ledger(killed: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_cut_recording_is_compared_with_its_ledger(killed: Path, capsys: Capture) -> None:
     write_ledger(killed, {"frames": FRAMES})
     killed.write_bytes(killed.read_bytes()[: round(0.7 * killed.stat().st_size)])
     assert verified(killed, capsys)[0] == 2
@@ -160,7 +157,7 @@ def test_a_cut_recording_is_compared_with_its_ledger(killed: Path, capsys: pytes
 
 @pytest.mark.slow
 def test_recover_refuses_what_it_cannot_or_need_not_mend(
-    whole: Path, killed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    whole: Path, killed: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     text, noise = tmp_path / "text.rrd", tmp_path / "noise.rrd"
     text.write_text("no recording")
@@ -194,9 +191,7 @@ def test_recover_refuses_a_folder_that_is_not_there(killed: Path, tmp_path: Path
     assert not (tmp_path / "none").exists()
 
 
-def test_bytes_that_end_the_reader_are_one_line(
-    whole: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_bytes_that_end_the_reader_are_one_line(whole: Path, capsys: Capture, monkeypatch: Patch) -> None:
     ledger_path(whole).unlink()
     aborted = subprocess.CompletedProcess([], -signal.SIGABRT, "", "")
     monkeypatch.setattr(recording_facts.subprocess, "run", lambda *args, **options: aborted)
@@ -205,7 +200,7 @@ def test_bytes_that_end_the_reader_are_one_line(
     assert "its bytes end rerun's reader (SIGABRT)" in said.splitlines()[-1]
 
 
-def test_a_flip_is_placed_by_stream_and_seconds(whole: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_flip_is_placed_by_stream_and_seconds(whole: Path, capsys: Capture) -> None:
     block = max((one for one in read_ledger(whole).blocks if one.to_s), key=lambda one: one.end - one.start)
     content = bytearray(whole.read_bytes())
     content[(block.start + block.end) // 2] ^= 1
@@ -218,9 +213,7 @@ def test_a_flip_is_placed_by_stream_and_seconds(whole: Path, capsys: pytest.Capt
     assert f"({block.streams[0]}, 0.000 to 1.100 s) differ from what was recorded" in said
 
 
-def test_truncated_is_told_from_damaged_and_from_a_run_cut_short(
-    whole: Path, killed: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_truncated_is_told_from_damaged_and_from_a_run_cut_short(whole: Path, killed: Path, capsys: Capture) -> None:
     whole.write_bytes(whole.read_bytes()[:-5000])
     status, found, said = verified(whole, capsys)
     assert (status, found["truncated"], found["damaged"]) == (2, True, [])
@@ -239,7 +232,7 @@ def test_truncated_is_told_from_damaged_and_from_a_run_cut_short(
     assert "from 0.000 s of camera on" in said
 
 
-def test_devices_without_a_frame_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_devices_without_a_frame_are_named(tmp_path: Path, capsys: Capture) -> None:
     """One that was described, and one that only the rig file names; of the recording, and of what is recovered."""
     whole, killed = tmp_path / "r.rrd", tmp_path / "killed.part.rrd"
     rig = "".join(f'[devices.{name}]\ndriver = "webcam"\n' for name in ("front", "side", "top"))

@@ -11,6 +11,7 @@ from deformscope_drivers.announce import announced, announcements, running_doubl
 from deformscope_drivers.errors import NotConnected
 from deformscope_drivers.transport import SerialTransport
 from deformscope_drivers.wires import PtyWire
+from tests.cases import Patch
 from tests.drivers.toy import ToyDouble
 
 PROGRAM = """
@@ -54,9 +55,7 @@ def test_a_port_has_one_name_from_plugging_to_plugging() -> None:
             assert wire.port == port
 
 
-def test_announcements_in_a_folder_of_another_users_are_left_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_announcements_in_a_folder_of_another_users_are_left_alone(tmp_path: Path, monkeypatch: Patch) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     with announced("dsa", "/dev/x", "mine"):
         assert [double.name for double in running_doubles()] == ["mine"]

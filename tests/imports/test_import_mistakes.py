@@ -18,6 +18,7 @@ from deformscope.frames import ArmFrame, DepthFrame
 from deformscope.imports.readers import open_reader
 from deformscope.log.rig_layout import RIG, RigLayout
 from deformscope.recording.recorder import Recorder
+from tests.cases import Capture, Patch
 from tests.imports.test_captures_and_files import imported, refused
 from tests.imports.test_importing import brought_back, differences, frames_of, inspected
 from tests.log import synthetic_rig as rig
@@ -63,13 +64,13 @@ BAD_COLUMNS = {
 
 
 @pytest.mark.parametrize("name", BAD_COLUMNS)
-def test_columns_that_no_frame_has_are_refused(name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_columns_that_no_frame_has_are_refused(name: str, tmp_path: Path, capfd: Capture) -> None:
     columns, words = BAD_COLUMNS[name]
     assert words in refused(csv(tmp_path / "t.csv"), map_of(columns), tmp_path / "r.rrd", capfd)
 
 
 @pytest.mark.parametrize("cell", ['"1,5"', '"[1, 2"', "1.5 N"])
-def test_a_cell_that_is_no_number_is_one_line(cell: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_cell_that_is_no_number_is_one_line(cell: str, tmp_path: Path, capfd: Capture) -> None:
     source = csv(tmp_path / "t.csv", f"{FORCES}0.02,{cell},1,1\n")
     error = refused(source, map_of(AXES, unit="mN"), tmp_path / "r.rrd", capfd)
     assert "a wrench frame of tip; got in frame 2" in error
@@ -88,7 +89,7 @@ BAD_VALUES = {
 
 
 @pytest.mark.parametrize("name", BAD_VALUES)
-def test_values_that_none_can_mean_are_one_line(name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_values_that_none_can_mean_are_one_line(name: str, tmp_path: Path, capfd: Capture) -> None:
     line, words = BAD_VALUES[name]
     text = line if "streams" in line else f"{line}\n{map_of(AXES)}" if "start" in line else map_of(AXES, line)
     rows = f"{FORCES}{'' if line else '1e300,1,1,1'}"
@@ -96,7 +97,7 @@ def test_values_that_none_can_mean_are_one_line(name: str, tmp_path: Path, capfd
 
 
 @pytest.mark.parametrize("key", ["urdf", "gripper"])
-def test_a_map_names_no_file_of_this_machine(key: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_map_names_no_file_of_this_machine(key: str, tmp_path: Path, capfd: Capture) -> None:
     """It may be another's; where the file is a URDF, nothing reads it either."""
     (tmp_path / "own.urdf").write_text("<robot name='x'><link name='a'/></robot>")
     for name in ("/etc/passwd", str(tmp_path / "own.urdf"), "file:///etc/passwd"):
@@ -121,16 +122,14 @@ def test_a_frame_of_two_long_tables(timed: bool, tmp_path: Path) -> None:
     assert [(frame.force_n[0, 0], frame.torque_nm[0, 0]) for frame in frames] == [(at, at) for at in range(200)]
 
 
-def test_a_clock_that_jumps_forward_is_told(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_clock_that_jumps_forward_is_told(tmp_path: Path, capfd: Capture) -> None:
     for jump, told in ((0, False), (3600, True)):
         rows = "".join(f"{at / 100 + (jump if at > 50 else 0)},1,1,1\n" for at in range(200))
         imported(csv(tmp_path / "t.csv", f"t,Fx,Fy,Fz\n{rows}"), map_of(AXES), tmp_path / f"{jump}.rrd")
         assert ("longest gap 3600 s" in "".join(capfd.readouterr())) == told
 
 
-def test_counts_of_any_width_are_distances_and_colours_are_none(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_counts_of_any_width_are_distances_and_colours_are_none(tmp_path: Path, capfd: Capture) -> None:
     source = tmp_path / "take"
     for kind, image in (("narrow", np.uint8([[50, 200]])), ("wide", np.uint16([[500, 2000]])), ("color", None)):
         (source / kind).mkdir(parents=True)
@@ -197,7 +196,7 @@ NAMES = ["base", "elbow"]
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
 
-def test_joints_are_those_of_their_names(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_joints_are_those_of_their_names(tmp_path: Path, capfd: Capture) -> None:
     bag = Bag()
     for at in range(1, 5):
         bag.add_pose(at * MS)
@@ -241,7 +240,7 @@ def test_times_of_pandas_are_taken_to_the_nanosecond(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_fractions_far_below_whole_numbers_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fractions_far_below_whole_numbers_are_read(tmp_path: Path, monkeypatch: Patch) -> None:
     whole = "".join(f"{at},0,0,\n" for at in range(400_000))
     source = csv(tmp_path / "t.csv", f"t,Fx,Fy,Fz\n{whole}400000,0.5,0,0.25\n")
     assert source.stat().st_size > 1 << 22
@@ -288,9 +287,7 @@ def test_forces_that_are_not_known_come_back(tmp_path: Path) -> None:
         assert not differences(list(frames), frames_of(brought_back(path, to, tmp_path))["tip"])
 
 
-def test_a_topic_of_an_unknown_type_keeps_no_other_from_being_read(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_topic_of_an_unknown_type_keeps_no_other_from_being_read(tmp_path: Path, capfd: Capture) -> None:
     bag = Bag()
     for at in range(1, 4):
         bag.add_pose(at * MS)
@@ -312,7 +309,7 @@ def test_a_topic_of_an_unknown_type_keeps_no_other_from_being_read(
     assert "expected messages of a known type; got my_msgs/msg/Thing | try: leave its topic out of the map" in error
 
 
-def test_an_arm_does_not_stand_where_a_pose_of_before_was(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_an_arm_does_not_stand_where_a_pose_of_before_was(tmp_path: Path, capfd: Capture) -> None:
     bag = Bag()
     for at in range(1, 101):
         if at <= 10:
@@ -345,7 +342,7 @@ def test_links_that_do_not_move_are_of_any_age(fixed: bool, tmp_path: Path) -> N
     np.testing.assert_allclose([frame.position_m[0] for frame in frames], 5 + np.arange(1, 21 if fixed else 6) / 10)
 
 
-def test_poses_of_other_messages_and_what_is_none(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_poses_of_other_messages_and_what_is_none(tmp_path: Path, capfd: Capture) -> None:
     covariance = np.zeros(36)
     kinds: dict[str, Any] = {
         "geometry_msgs/PoseWithCovarianceStamped": lambda bag: [
@@ -379,7 +376,7 @@ def twist(bag: Bag) -> Any:
     return bag.make("geometry_msgs/msg/Twist", vector, vector)
 
 
-def test_pictures_of_two_folders_are_one_by_one(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_pictures_of_two_folders_are_one_by_one(tmp_path: Path, capfd: Capture) -> None:
     source = tmp_path / "take"
     for name, kind, suffix in (("depth", np.uint16, "png"), ("rgb", np.uint8, "jpg")):
         (source / name).mkdir(parents=True)

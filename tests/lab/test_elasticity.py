@@ -9,6 +9,7 @@ from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.lab import elasticity
 from deformscope.lab.elasticity import ElasticBox, Element, Solved
+from tests.cases import Patch
 
 YOUNG = 750e3
 
@@ -161,9 +162,7 @@ def test_any_displacement_of_an_element_is_sampled_between_its_nodes() -> None:
     )
 
 
-def test_one_factorisation_serves_many_displacements_and_conjugate_gradients_agree(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_one_factorisation_serves_many_displacements_and_conjugate_gradients_agree(monkeypatch: Patch) -> None:
     box = uneven_box(0.45)
     held = every_component(box.plane(2, 0.0))
     tip = box.nodes[:, 2] >= 0.05 - 1e-9

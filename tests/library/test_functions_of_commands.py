@@ -10,12 +10,13 @@ import pytest
 import deformscope as ds
 from deformscope.cli import main
 from deformscope.recording.facts import gather_facts
+from tests.cases import Capture, Patch
 
 SHIPPED = Path(__file__).resolve().parents[2] / "recordings"
 
 
 @pytest.fixture
-def recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def recording(tmp_path: Path, monkeypatch: Patch) -> Path:
     """Its content is read in this process, as by `tests.verified`."""
     monkeypatch.setattr("deformscope.runs.verification.read_facts", gather_facts)
     for name in ("squeeze.rrd", "squeeze.rrd.ledger"):
@@ -23,13 +24,13 @@ def recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "squeeze.rrd"
 
 
-def told(capsys: pytest.CaptureFixture[str], *command: object, status: int = 0) -> Any:
+def told(capsys: Capture, *command: object, status: int = 0) -> Any:
     capsys.readouterr()
     assert main([*map(str, command), "--json", "-"]) == status
     return json.loads(capsys.readouterr().out)
 
 
-def test_verify_says_what_the_command_says(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_verify_says_what_the_command_says(recording: Path, capsys: Capture) -> None:
     found = ds.verify(recording, stages=True, privacy=True)
     assert found.ok
     assert found.error is None
@@ -57,9 +58,7 @@ def test_recover_makes_a_whole_recording(recording: Path, tmp_path: Path) -> Non
         ds.recover(cut, tmp_path / "saved.rrd")
 
 
-def test_export_catalog_report_and_discard_are_the_commands(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_export_catalog_report_and_discard_are_the_commands(recording: Path, tmp_path: Path, capsys: Capture) -> None:
     found = ds.export(recording, tmp_path / "a", to="csv", only=("tactile",))
     other = told(capsys, "export", recording, "--to", "csv", "--out", tmp_path / "b", "--only", "tactile")
     assert found.to_dict() | {"folder": other["folder"]} == other
@@ -89,7 +88,7 @@ def test_what_parameters_are_called_in_python(recording: Path, tmp_path: Path) -
         ds.export(recording, tmp_path / "a", to="xls")  # type: ignore[arg-type]
 
 
-def test_viscous_is_the_command(capsys: pytest.CaptureFixture[str]) -> None:
+def test_viscous_is_the_command(capsys: Capture) -> None:
     found = ds.calibrate_viscous("sample:press")
     assert found.estimate.verdict == "plastic"
     assert found.to_dict() == told(capsys, "calibrate", "viscous", "sample:press")
@@ -100,7 +99,7 @@ def test_viscous_is_the_command(capsys: pytest.CaptureFixture[str]) -> None:
     ("name", "sample"),
     [("both", "sample:pair"), ("axes", "sample:pair"), ("field", "sample:pair"), ("yield", "sample:press")],
 )
-def test_calibrations_are_the_commands(name: str, sample: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_calibrations_are_the_commands(name: str, sample: str, capsys: Capture) -> None:
     found = getattr(ds, f"calibrate_{name}")(sample)
     assert found.to_dict() == told(capsys, "calibrate", name, sample)
     assert found.figures()[0].png.startswith(b"\x89PNG")

@@ -17,6 +17,7 @@ from deformscope.files.sources import open_source
 from deformscope.runs import calibration, image_calibration
 from deformscope.stages.poke.layers import MeasuredSurface
 from deformscope.stages.poke.poke_fit import seen_poke, spacing_for
+from tests.cases import Capture, Patch
 from tests.cli.test_predict_command import THICKNESS, write_pair
 
 COUNT, KEPT = 37, 16
@@ -38,7 +39,7 @@ def images() -> list[ImageArray]:
 
 
 @pytest.fixture
-def slow(monkeypatch: pytest.MonkeyPatch) -> None:
+def slow(monkeypatch: Patch) -> None:
     """A machine on which nothing is quick: the fewest frames, and the coarsest lattice."""
     monkeypatch.setattr(image_calibration, "FLOW_S_PER_PX", 1e-2)
     monkeypatch.setattr(calibration, "MOST_PARTICLES", 1)
@@ -96,7 +97,7 @@ def test_a_long_sequence_is_thinned_and_the_estimate_is_that_of_all_frames(
 
 
 def test_a_short_sequence_or_a_stride_of_ones_own_stays_whole(
-    images: list[ImageArray], caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+    images: list[ImageArray], caplog: pytest.LogCaptureFixture, monkeypatch: Patch
 ) -> None:
     caplog.set_level(logging.INFO)
     few = ds.calibrate_beta(images[:KEPT], grid=(8, 6), candidates=12)
@@ -108,9 +109,7 @@ def test_a_short_sequence_or_a_stride_of_ones_own_stays_whole(
     assert f"{(COUNT + 1) // 2} frames are tracked" in caplog.text
 
 
-def test_what_was_thinned_replays_to_the_same_numbers(
-    folder: Path, slow: None, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_was_thinned_replays_to_the_same_numbers(folder: Path, slow: None, capsys: Capture) -> None:
     record = folder.with_name("run.rrd")
     flags = ["--grid", "8x6", "--candidates", "12", "--viewer", "none"]
     assert main(["calibrate", "beta", str(folder), *flags, "--record", str(record)]) == 0
@@ -138,7 +137,7 @@ def test_a_lattice_is_no_finer_than_asked_for_and_has_two_cells_across_the_tip(t
 
 
 def test_a_coarser_lattice_says_so_counts_its_steps_to_one_end_and_replays(
-    tmp_path: Path, slow: None, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, slow: None, capsys: Capture
 ) -> None:
     pair, seen = write_pair(tmp_path / "p.npz", at=(0.09, 0.08)), list[tuple[str, int, int]]()
     flags = ["--thickness-m", str(THICKNESS), "--cluster-size", "3", "--viewer", "none"]
@@ -175,9 +174,7 @@ def test_the_finest_lattice_is_taken_where_it_is_asked_for() -> None:
 # Time left -----------------------------------------------------------------------------------------------------------
 
 
-def test_where_there_is_no_terminal_a_line_says_how_long_it_will_take(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_where_there_is_no_terminal_a_line_says_how_long_it_will_take(capsys: Capture, monkeypatch: Patch) -> None:
     now = iter(range(0, 10_000, 10))
     monkeypatch.setattr(common.time, "monotonic", lambda: float(next(now)))
     with common.fit_progress() as note:

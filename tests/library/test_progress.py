@@ -17,7 +17,7 @@ import deformscope as ds
 from deformscope import terminal
 from deformscope.stages.msm import quiet
 from deformscope.stages.msm.quiet import GREETING, quiet_warp
-from tests.cases import slow, slow_but
+from tests.cases import Capture, Patch, slow, slow_but
 from tests.cli.fake_bench import use_fake_bench
 from tests.experiments.toy_squeeze import use_toy_squeeze
 from tests.patience import PATIENCE_S
@@ -46,7 +46,7 @@ quick = pytest.mark.parametrize("call", slow_but(["explore", "calibrate", "class
 
 
 @pytest.fixture(params=COMMANDS)
-def call(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Call:
+def call(request: pytest.FixtureRequest, monkeypatch: Patch, tmp_path: Path) -> Call:
     match request.param:
         case "explore":
             use_fake_bench(monkeypatch)
@@ -91,7 +91,7 @@ def another_thread() -> Iterator[Callable[[], None]]:
 
 
 @quick
-def test_what_another_thread_writes_meanwhile_arrives(call: Call, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_another_thread_writes_meanwhile_arrives(call: Call, capsys: Capture) -> None:
     heard: list[object] = []
     with another_thread() as ask:
 
@@ -106,7 +106,7 @@ def test_what_another_thread_writes_meanwhile_arrives(call: Call, capsys: pytest
     assert err.splitlines() == [f"line {number} of another thread" for number in range(len(heard))]
 
 
-def test_nothing_is_written_where_nobody_watches(call: Call, capfd: pytest.CaptureFixture[str]) -> None:
+def test_nothing_is_written_where_nobody_watches(call: Call, capfd: Capture) -> None:
     call()
     assert capfd.readouterr() == ("", "")
 
@@ -119,7 +119,7 @@ class Terminal(io.StringIO):
 
 
 @quick
-def test_progress_is_shown_at_a_terminal(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_progress_is_shown_at_a_terminal(call: Call, monkeypatch: Patch) -> None:
     monkeypatch.setattr(sys, "stderr", Terminal())
     call()
     assert sys.stderr.getvalue()  # type: ignore[attr-defined]
@@ -128,23 +128,21 @@ def test_progress_is_shown_at_a_terminal(call: Call, monkeypatch: pytest.MonkeyP
 @quick
 @pytest.mark.parametrize("progress", [False, slow(lambda *said: None)])
 def test_nothing_is_written_to_a_terminal_where_it_is_not_wanted(
-    call: Call, progress: object, monkeypatch: pytest.MonkeyPatch
+    call: Call, progress: object, monkeypatch: Patch
 ) -> None:
     monkeypatch.setattr(sys, "stderr", Terminal())
     call(progress=progress)
     assert sys.stderr.getvalue() == ""  # type: ignore[attr-defined]
 
 
-def test_a_notebook_is_watched(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_notebook_is_watched(monkeypatch: Patch) -> None:
     stream = type("OutStream", (), {"__module__": "ipykernel.iostream", "isatty": lambda self: False})()
     assert not terminal.is_watched()
     monkeypatch.setattr(sys, "stderr", stream)
     assert terminal.is_watched()
 
 
-def test_only_the_greeting_of_warp_is_left_out(
-    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_only_the_greeting_of_warp_is_left_out(capfd: Capture, monkeypatch: Patch) -> None:
     """It is written below Python, where one thread's stderr is every thread's: at warp's start, and never again."""
     warp = pytest.importorskip("warp")
     monkeypatch.setattr(quiet, "_started", False)

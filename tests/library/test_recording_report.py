@@ -16,6 +16,7 @@ from deformscope.pictures import recorded
 from deformscope.pictures.recorded import Curves, curves_png
 from deformscope.recording.facts import run_rrd
 from deformscope.runs.recording_report import RecordingReport, report_recording
+from tests.cases import Capture, Patch
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -38,7 +39,7 @@ def test_curves_show_events_and_phases() -> None:
     assert 0.001 < (bare != events).any(axis=-1).mean() < 0.1  # a line and its name
 
 
-def test_names_of_short_phases_stand_side_by_side(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_names_of_short_phases_stand_side_by_side(monkeypatch: Patch) -> None:
     drawn: list[Figure] = []
     monkeypatch.setattr(recorded, "png_of", lambda figure, dpi: drawn.append(figure) or b"")
     names = ("pre-shape", "look", "travel", "approach", "look", "air", "close", "squeeze", "hold", "open", "retreat")
@@ -54,9 +55,7 @@ def test_names_of_short_phases_stand_side_by_side(monkeypatch: pytest.MonkeyPatc
     assert not [pair for pair in combinations(boxes, 2) if pair[0].overlaps(pair[1])]
 
 
-def test_a_recording_without_costs_opens_and_says_what_it_lacks(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_recording_without_costs_opens_and_says_what_it_lacks(tmp_path: Path, capsys: Capture) -> None:
     path, out, told = tmp_path / "less.rrd", tmp_path / "less.html", tmp_path / "less.json"
     assert run_rrd("filter", "--drop-entity", "/cost", ROOT / "recordings" / "tension.rrd", "-o", path) == ""
     assert main(["report", str(path), "--out", str(out), "--json", str(told)]) == 0
@@ -72,7 +71,7 @@ def test_a_fit_of_images_shows_its_posterior(tmp_path: Path) -> None:
     assert all(pixels(one.png).size for one in found.figures())
 
 
-def test_what_is_no_recording_is_refused_in_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_no_recording_is_refused_in_a_line(tmp_path: Path, capsys: Capture) -> None:
     path = tmp_path / "none.rrd"
     path.write_bytes(b"nothing")
     assert main(["report", str(path)]) == 2

@@ -14,6 +14,7 @@ from deformscope.recording.reader import Replay
 from deformscope.runs.replay_result import compare
 from deformscope.stages.fit.estimate import Doubt
 from deformscope.stages.msm import reference
+from tests.cases import Capture, Patch
 from tests.log.synthetic import estimate
 from tests.stages import reference_states
 from tests.stages.bodies import pushed
@@ -30,9 +31,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_it_gives_the_json_and_the_words_of_the_command(
-    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_it_gives_the_json_and_the_words_of_the_command(recorded: Path, tmp_path: Path, capsys: Capture) -> None:
     found = ds.replay(recorded)
     assert main(["replay", str(recorded), "--viewer", "none", "--json", str(tmp_path / "r.json")]) == 0
     shown = capsys.readouterr()
@@ -44,7 +43,7 @@ def test_it_gives_the_json_and_the_words_of_the_command(
     assert all(str(one) in str(found) for one in found.tables()[0].rows[0])
 
 
-def test_numbers_that_differ_are_an_error(recorded: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_numbers_that_differ_are_an_error(recorded: Path, monkeypatch: Patch) -> None:
     (one,) = read_estimates(Replay(recorded))
     other = dataclasses.replace(one, value=one.value + 0.1)
     monkeypatch.setattr("deformscope.runs.replay.read_estimates", lambda _: [other])

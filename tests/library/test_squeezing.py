@@ -11,18 +11,17 @@ import pytest
 import deformscope as ds
 from deformscope.cli import main
 from deformscope.files.classifier_file import save_classifier
+from tests.cases import Capture, Patch
 from tests.experiments.toy_squeeze import ToySqueeze, use_toy_squeeze
 
 
 @pytest.fixture(autouse=True)
-def toy(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+def toy(monkeypatch: Patch) -> dict[str, Any]:
     """What is squeezed is a toy; its content is a stiffness."""
     return use_toy_squeeze(monkeypatch)
 
 
-def test_a_squeeze_gives_the_json_of_the_command_and_its_features(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_squeeze_gives_the_json_of_the_command_and_its_features(tmp_path: Path, capsys: Capture) -> None:
     given = ["squeeze", "lab:containers", "--content", "rice", "--container", "box-07", "--viewer", "none"]
     assert main([*given, "--json", "-"]) == 0
     found = json.loads(capsys.readouterr().out)

@@ -36,7 +36,7 @@ from deformscope.results.render import to_json
 from deformscope.stages.map.exploration import MapEstimate, TouchEstimate
 from deformscope_drivers.clock import Stamp
 from deformscope_drivers.health import Health, Link
-from tests.cases import slow_but
+from tests.cases import Capture, Patch, slow_but
 from tests.log import synthetic_rig as rig
 
 RECORDINGS = Path(__file__).resolve().parents[2] / "recordings"
@@ -102,7 +102,7 @@ def test_a_table_holds_every_frame_to_the_last_bit(path: Path) -> None:
         assert len(np.unique(table.column("host_ns").to_numpy() - times)) == 1
 
 
-def test_rows_that_stand_in_several_portions_are_joined(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rows_that_stand_in_several_portions_are_joined(tmp_path: Path, monkeypatch: Patch) -> None:
     split = tmp_path / "split.rrd"  # images apart from their stamps, as rerun's own tool lays them out
     assert run_rrd("optimize", BENCH, "-o", split) == ""
     monkeypatch.setattr(Replay, "_check_format", lambda replay: None)
@@ -222,9 +222,7 @@ def read_mcap(path: Path) -> Iterator[tuple[str, int, Any]]:
 
 
 @pytest.mark.parametrize("path", slow_but([BENCH], [BENCH, EXPLORED]), ids=lambda path: path.stem)
-def test_an_mcap_is_read_alike_by_two_readers_of_others(
-    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_mcap_is_read_alike_by_two_readers_of_others(path: Path, tmp_path: Path, monkeypatch: Patch) -> None:
     monkeypatch.chdir(RECORDINGS.parent)  # where the arm's URDF is, as these recordings have it
     pytest.importorskip("mcap_ros2")
     rosbags = pytest.importorskip("rosbags.highlevel")
@@ -353,7 +351,7 @@ def test_nothing_of_a_person_or_a_machine_is_in_an_anonymous_export(tmp_path: Pa
 @pytest.mark.parametrize("to", ["csv", "mcap"])
 @pytest.mark.parametrize("anonymous", [False, True])
 def test_what_a_recording_lost_and_whether_it_is_to_be_used_goes_along(
-    to: str, anonymous: bool, tmp_path: Path, capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+    to: str, anonymous: bool, tmp_path: Path, capfd: Capture, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = tmp_path / "r.rrd"
     health = Health(Link.CLOSED, "", 5, lost=7)
@@ -388,7 +386,7 @@ def test_what_a_recording_lost_and_whether_it_is_to_be_used_goes_along(
     assert "has no ledger" in caplog.text
 
 
-def test_licence_and_authors_go_along(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_licence_and_authors_go_along(tmp_path: Path, capfd: Capture) -> None:
     own = ["--license", "CC-BY-4.0", "--author", "A. Writer", "B. Writer", "--citation", "Poking", "--only", "tip"]
     assert main(["export", str(BENCH), "--to", "parquet", "--out", str(tmp_path / "out"), *own, "--json", "-"]) == 0
     found = json.loads(capfd.readouterr().out)
@@ -420,7 +418,7 @@ def test_a_video_has_every_image_and_a_table_of_their_times(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("to", FORMATS)
-def test_an_export_that_fails_leaves_nothing(to: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_an_export_that_fails_leaves_nothing(to: str, tmp_path: Path, capfd: Capture) -> None:
     cut = tmp_path / "cut.rrd"
     cut.write_bytes(BENCH.read_bytes()[: BENCH.stat().st_size * 2 // 3])
     assert main(["export", str(cut), "--to", to, "--out", str(tmp_path / "out")]) == 2
@@ -429,7 +427,7 @@ def test_an_export_that_fails_leaves_nothing(to: str, tmp_path: Path, capfd: pyt
     assert [path.name for path in tmp_path.iterdir()] == ["cut.rrd"]
 
 
-def test_refusals_are_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_refusals_are_one_line(tmp_path: Path, capfd: Capture) -> None:
     out = tmp_path / "out"
     cases = [
         (["--to", "csv", "--out", str(out), "--only", "wrench/toe"], "got 'wrench/toe', which the recording lacks"),
@@ -447,7 +445,7 @@ def test_refusals_are_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]
     assert not out.exists()
 
 
-def test_an_earlier_export_is_replaced_and_other_files_stay(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_an_earlier_export_is_replaced_and_other_files_stay(tmp_path: Path, capfd: Capture) -> None:
     out = tmp_path / "out"
     asked = ["export", str(BENCH), "--out", str(out), "--to"]
     assert main([*asked, "csv", "--only", "wrench"]) == 0
@@ -493,9 +491,7 @@ def test_of_two_exports_at_once_one_is_there_whole(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
-def test_the_folder_one_is_in_and_a_link_to_an_empty_one_are_folders(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_folder_one_is_in_and_a_link_to_an_empty_one_are_folders(tmp_path: Path, monkeypatch: Patch) -> None:
     for name in ("here", "there"):
         (tmp_path / name).mkdir()
     (tmp_path / "link").symlink_to(tmp_path / "there")
@@ -553,7 +549,7 @@ def tables(path: Path) -> Iterator[tuple[str, pa.Table]]:
 
 @pytest.mark.parametrize("content", slow_but(["<robot"], ["<robot", "", "\xff"]))
 def test_a_robot_description_that_is_none_is_left_out_and_none_is_anonymous(
-    content: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    content: str, tmp_path: Path, monkeypatch: Patch
 ) -> None:
     pytest.importorskip("mcap_ros2")
     monkeypatch.chdir(tmp_path)
@@ -605,9 +601,7 @@ def test_a_file_that_cannot_grow_ends_in_one_line(to: str, tmp_path: Path) -> No
     assert list(tmp_path.iterdir()) == []
 
 
-def test_without_its_packages_mcap_is_refused_in_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_without_its_packages_mcap_is_refused_in_one_line(tmp_path: Path, monkeypatch: Patch, capfd: Capture) -> None:
     monkeypatch.setitem(sys.modules, "mcap.writer", None)
     assert main(["export", str(BENCH), "--to", "mcap", "--out", str(tmp_path / "out")]) == 2
     assert capfd.readouterr().err.strip().endswith("got none | try: pip install 'deformscope[mcap]'")
@@ -615,7 +609,7 @@ def test_without_its_packages_mcap_is_refused_in_one_line(
 
 
 @pytest.mark.parametrize("library", ["pandas", "polars", "duckdb"])
-def test_the_plots_in_the_docs_are_drawn(library: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_plots_in_the_docs_are_drawn(library: str, tmp_path: Path, monkeypatch: Patch) -> None:
     pytest.importorskip(library)
     page = (RECORDINGS.parent / "docs" / "howto" / "tables-from-recordings.md").read_text(encoding="utf-8")
     (script,) = (one for one in re.findall(r"```python[^\n]*\n(.*?)```", page, re.DOTALL) if f'"{library}.png"' in one)

@@ -21,6 +21,7 @@ from deformscope.recording import recorder
 from deformscope.recording.lateness import FREE_BYTES, RecordingError, writes_are_held_up
 from deformscope.recording.recent import WatchedRecorder
 from deformscope.recording.recorder import Recorder
+from tests.cases import Patch
 from tests.log import synthetic_rig as rig
 from tests.patience import PATIENCE_S
 from tests.recording.test_recorder import wait_for_looks
@@ -29,7 +30,7 @@ Gate = threading.Event
 
 
 @pytest.fixture
-def items(monkeypatch: pytest.MonkeyPatch) -> list[Item]:
+def items(monkeypatch: Patch) -> list[Item]:
     """More than may wait."""
     monkeypatch.setattr(recorder, "BACKLOG_BYTES", 300_000)
     return [one for one in rig.items(1.0, (24, 32)) if not isinstance(one, ColorFrame | DepthFrame)]
@@ -65,7 +66,7 @@ class HeldUpDisk:
 
 
 @pytest.fixture
-def held_up(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> HeldUpDisk:
+def held_up(tmp_path_factory: pytest.TempPathFactory, monkeypatch: Patch) -> HeldUpDisk:
     disk = HeldUpDisk(tmp_path_factory.mktemp("disk") / "pipe")
     monkeypatch.setattr(rr, "FileSink", disk.sink)
     monkeypatch.setattr("deformscope.recording.rrd_file.RecordingFile.flush", lambda file: None)  # it would wait
@@ -100,7 +101,7 @@ def test_a_disk_that_is_too_slow_is_named(tmp_path: Path, items: list[Item], hel
     assert not (tmp_path / "run.rrd").exists()
 
 
-def busy_processor(monkeypatch: pytest.MonkeyPatch) -> tuple[Gate, Gate]:
+def busy_processor(monkeypatch: Patch) -> tuple[Gate, Gate]:
     """Encoding does not get on: (that it has begun, until this)."""
     prepare, begun, free = rig_log.prepare_items, Gate(), Gate()
 
@@ -115,7 +116,7 @@ def busy_processor(monkeypatch: pytest.MonkeyPatch) -> tuple[Gate, Gate]:
 
 @pytest.mark.slow
 def test_a_processor_that_is_too_slow_is_named_and_what_there_is_is_ended(
-    tmp_path: Path, items: list[Item], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, items: list[Item], monkeypatch: Patch, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = tmp_path / "run.part.rrd"
     said = pytest.raises(RecordingError, match=r"a processor that keeps up .*% of a core .*try: end other programs")
@@ -133,9 +134,7 @@ def test_a_processor_that_is_too_slow_is_named_and_what_there_is_is_ended(
     assert main(["recover", str(path)]) == 0
 
 
-def test_a_full_disk_is_named_whatever_waits(
-    tmp_path: Path, items: list[Item], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_is_named_whatever_waits(tmp_path: Path, items: list[Item], monkeypatch: Patch) -> None:
     usage = shutil.disk_usage(tmp_path)
     with (
         pytest.raises(RecordingError, match="64 MiB free on the disk; got 0 MiB free"),
@@ -152,7 +151,7 @@ def test_a_full_disk_is_named_whatever_waits(
 
 @pytest.mark.slow
 def test_what_cannot_be_read_is_not_called_kept(
-    tmp_path: Path, items: list[Item], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, items: list[Item], monkeypatch: Patch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Everything was handed over, and nothing of it had come to the disk."""
     with pytest.raises(RecordingError), recording(tmp_path / "run.rrd") as made:
@@ -170,7 +169,7 @@ def test_what_cannot_be_read_is_not_called_kept(
 
 
 def test_the_view_goes_on_where_its_file_cannot(
-    tmp_path: Path, items: list[Item], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, items: list[Item], monkeypatch: Patch, caplog: pytest.LogCaptureFixture
 ) -> None:
     watched: list[object] = []
     watch, kept = Recorder(None), recording(tmp_path / "run.rrd")

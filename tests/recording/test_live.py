@@ -28,6 +28,7 @@ from deformscope.recording import live
 from deformscope.recording.live import LiveFeed, Viewer, check_answers, start_viewer, wait_for_viewer
 from deformscope.recording.reader import Replay
 from deformscope.recording.recorder import Recorder
+from tests.cases import Capture, Patch
 from tests.second_user import taking_ports
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -284,7 +285,7 @@ def test_at_a_terminal_a_page_stays_until_ctrl_c() -> None:
         process.wait()
 
 
-def test_why_a_viewer_ended_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_why_a_viewer_ended_is_said(tmp_path: Path, monkeypatch: Patch) -> None:
     monkeypatch.setattr(live, "viewer_executable", lambda: program(tmp_path, "echo no port is free >&2; exit 1"))
     monkeypatch.setenv("DISPLAY", ":0")
     with pytest.raises(ConnectionError, match="no port is free"):
@@ -295,9 +296,7 @@ def test_why_a_viewer_ended_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     "command",
     [["calibrate", "theta", "PAIR", "--json", "-"], ["record", "lab:bench", "--seconds", ".1", "--json", "-"]],
 )
-def test_a_command_prints_the_address(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_command_prints_the_address(tmp_path: Path, capsys: Capture, command: list[str], monkeypatch: Patch) -> None:
     from tests.log import synthetic
 
     pair = tmp_path / "pair.npz"
@@ -320,7 +319,7 @@ def listeners(pid: int) -> set[int]:
     return {int(line[1].split(":")[1], 16) for line in lines if line[3] == "0A" and f"socket:[{line[9]}]" in own}
 
 
-def test_another_user_gets_no_data_for_a_window(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_user_gets_no_data_for_a_window(monkeypatch: Patch) -> None:
     monkeypatch.setenv("DISPLAY", ":0")
     monkeypatch.setattr(live, "window_options", lambda: ["--serve-grpc"])  # a window without a window
     with taking_ports() as taken:
@@ -335,7 +334,7 @@ def test_another_user_gets_no_data_for_a_window(monkeypatch: pytest.MonkeyPatch)
         assert taken() == []
 
 
-def test_no_data_follows_for_a_window_that_ended_as_it_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_data_follows_for_a_window_that_ended_as_it_opened(tmp_path: Path, monkeypatch: Patch) -> None:
     """Its port is free again, and whoever takes it then is connected to."""
     ended, got, taking = tmp_path / "ended", list[bytes](), list[socket.socket]()
     os.mkfifo(ended)

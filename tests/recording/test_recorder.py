@@ -38,6 +38,7 @@ from deformscope.recording.rrd_file import RecordingFile
 from deformscope.rows import FORMAT
 from deformscope.runs.recovery import recover_recording
 from deformscope.session import Step, run
+from tests.cases import Patch
 from tests.log import synthetic
 from tests.log import synthetic_rig as rig
 from tests.log.test_rig import assert_same
@@ -289,7 +290,7 @@ def test_full_disk_ends_the_run(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_what_was_ended_is_called_kept_however_long_it_is(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, monkeypatch: Patch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """The file of large portions has its format at its end: 37 MB were called lost, which `recover` read."""
     monkeypatch.setattr(facts, "BEGIN_BYTES", 1 << 12)
@@ -305,7 +306,7 @@ def test_what_was_ended_is_called_kept_however_long_it_is(
     assert main(["recover", str(tmp_path / "run.part.rrd")]) == 0
 
 
-def test_little_free_space_ends_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_little_free_space_ends_the_run(tmp_path: Path, monkeypatch: Patch) -> None:
     monkeypatch.setattr(recording_file, "BEAT_S", 0.0)
     with pytest.raises(RecordingError, match="MiB free"), Recorder(tmp_path / "run.rrd") as made:
         made.write(next(synthetic.frames(1)))
@@ -327,7 +328,7 @@ class SlowDisk:
         self.asked, self.free = threading.Event(), threading.Event()
         self.given_up = 0
 
-    def block(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def block(self, monkeypatch: Patch) -> None:
         flush = RecordingFile.flush
 
         def slow(file: RecordingFile) -> None:
@@ -364,7 +365,7 @@ def read_in_order(path: Path) -> list[Item]:
     return sorted(read_items(path), key=order)
 
 
-def test_nobody_who_writes_waits_for_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nobody_who_writes_waits_for_the_disk(tmp_path: Path, monkeypatch: Patch) -> None:
     disk, items = SlowDisk(), without_images(0.3)
     with Recorder(tmp_path / "run.rrd", "none", {}, application=RIG, real_time=True) as made:
         made.start(RigLayout(rig.STREAMS), rig.START_NS)
@@ -377,9 +378,7 @@ def test_nobody_who_writes_waits_for_the_disk(tmp_path: Path, monkeypatch: pytes
     assert_same(read_in_order(tmp_path / "run.rrd"), items)
 
 
-def test_nobody_who_writes_images_and_results_waits_for_the_disk(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_nobody_who_writes_images_and_results_waits_for_the_disk(tmp_path: Path, monkeypatch: Patch) -> None:
     disk = SlowDisk()
     with Recorder(tmp_path / "run.rrd", "none", {}) as made:
         disk.block(monkeypatch)
@@ -393,9 +392,7 @@ def test_nobody_who_writes_images_and_results_waits_for_the_disk(
     assert Replay(tmp_path / "run.rrd").frame_count == 3
 
 
-def test_what_can_wait_for_its_recording_does_and_loses_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_can_wait_for_its_recording_does_and_loses_nothing(tmp_path: Path, monkeypatch: Patch) -> None:
     disk = SlowDisk()
     monkeypatch.setattr(recorder, "AHEAD_JOBS", 5)
     with Recorder(tmp_path / "run.rrd", "none", {}) as made:
@@ -494,7 +491,7 @@ def failing(*, timeout_sec: float) -> None:
 
 @pytest.mark.parametrize("trouble", ["little room", "does not end", "cannot be flushed"])
 def test_without_the_file_of_large_portions_the_recording_is_the_other(
-    trouble: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    trouble: str, tmp_path: Path, monkeypatch: Patch, caplog: pytest.LogCaptureFixture
 ) -> None:
     items, merged = without_images(0.3), tmp_path / "run.part.rrd.merged"
     if trouble == "little room":
@@ -595,7 +592,7 @@ def test_feed_survives_a_viewer_that_never_comes(caplog: pytest.LogCaptureFixtur
 
 
 def test_the_file_never_waits_for_the_viewer(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, monkeypatch: Patch, caplog: pytest.LogCaptureFixture
 ) -> None:
     stuck = threading.Event()
     unregistered, unblocked = list[bool](), list[bool]()
@@ -618,7 +615,7 @@ def test_the_file_never_waits_for_the_viewer(
     assert "does not answer" in caplog.text
 
 
-def test_a_window_needs_a_display(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_window_needs_a_display(tmp_path: Path, monkeypatch: Patch) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(InputError, match="a display"), Recorder(tmp_path / "run.rrd", "native"):

@@ -19,6 +19,7 @@ from deformscope.recording.lateness import FREE_BYTES, RecordingError
 from deformscope.recording.ledger import check_recording
 from deformscope.recording.lock import is_being_written
 from deformscope.recording.recorder import Recorder
+from tests.cases import Capture, Patch
 
 USAGE = namedtuple("USAGE", "total used free")
 
@@ -44,7 +45,7 @@ def test_two_runs_at_once_to_one_name(tmp_path: Path, overwrite: bool) -> None:
     assert check_recording(path).problems == []
 
 
-def test_names_that_are_made_within_a_second_differ(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_names_that_are_made_within_a_second_differ(tmp_path: Path, monkeypatch: Patch) -> None:
     """Also before there is a file, as of a page where two buttons are pressed, and while another run records."""
     monkeypatch.setattr("deformscope.file_io.datetime", Frozen)
     names = [new_recording(tmp_path, "rig") for _ in range(2)]
@@ -102,7 +103,7 @@ def test_a_link_stays_a_link_to_the_new_recording(tmp_path: Path, dangling: bool
     assert sorted(left.name for left in tmp_path.iterdir()) == ["disk", "run.rrd"]
 
 
-def test_a_link_to_nowhere_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_link_to_nowhere_is_refused(tmp_path: Path, capsys: Capture) -> None:
     gone, loop = tmp_path / "gone.rrd", tmp_path / "loop.rrd"
     gone.symlink_to(tmp_path / "no folder" / "run.rrd")
     loop.symlink_to(loop)
@@ -114,9 +115,7 @@ def test_a_link_to_nowhere_is_refused(tmp_path: Path, capsys: pytest.CaptureFixt
         assert link.is_symlink()
 
 
-def test_a_disk_that_is_too_small_at_the_start_keeps_nothing_and_says_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_disk_that_is_too_small_at_the_start_keeps_nothing_and_says_so(tmp_path: Path, monkeypatch: Patch) -> None:
     monkeypatch.setattr(shutil, "disk_usage", lambda where: USAGE(FREE_BYTES, 0, FREE_BYTES - 1))
     with pytest.raises(RecordingError, match="64 MiB free on the disk; got 63 MiB free") as told:
         Recorder(tmp_path / "run.rrd").__enter__()
@@ -125,7 +124,7 @@ def test_a_disk_that_is_too_small_at_the_start_keeps_nothing_and_says_so(
 
 
 def test_a_disk_that_fills_before_anything_was_recorded_keeps_nothing_and_says_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: Patch
 ) -> None:
     with pytest.raises(RecordingError, match="free on the disk") as told, Recorder(tmp_path / "run.rrd"):
         monkeypatch.setattr(shutil, "disk_usage", lambda where: USAGE(FREE_BYTES, 0, 0))

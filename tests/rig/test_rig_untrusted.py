@@ -18,6 +18,7 @@ from deformscope.rig.vendor_library import SYSTEM_FOLDERS, system_library
 from deformscope_drivers.depth_camera.discovery import list_by_openni
 from deformscope_drivers.errors import NotConnected
 from deformscope_drivers.transport import SerialTransport, open_bus
+from tests.cases import Capture, Patch
 from tests.patience import PATIENCE_S
 
 TIP = '[devices.tip]\ndriver = "optoforce"\nport = "/dev/ttyACM0"\n'
@@ -64,7 +65,7 @@ BUSES = [
 @pytest.mark.parametrize("driver", ["optoforce", "dsa", "sdh"])
 @pytest.mark.parametrize("port", PORTS)
 def test_a_port_of_an_unlisted_kind_is_refused_before_it_is_opened(
-    driver: str, port: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    driver: str, port: str, tmp_path: Path, monkeypatch: Patch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert "expected a device's path, socket://HOST:PORT" in refused(
@@ -78,7 +79,7 @@ def test_a_port_of_an_unlisted_kind_is_refused_before_it_is_opened(
 @pytest.mark.parametrize("driver", ["optoforce", "sdh"])
 @pytest.mark.parametrize("bus", BUSES)
 def test_a_bus_of_an_unlisted_kind_is_refused_before_it_is_opened(
-    driver: str, bus: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    driver: str, bus: str, tmp_path: Path, monkeypatch: Patch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert "[devices.a]" in refused(f'[devices.a]\ndriver = "{driver}"\nbus = "{bus}"')
@@ -119,7 +120,7 @@ def test_a_depth_camera_is_a_name_or_a_recording(port: str) -> None:
     assert "a camera's name, or the path" in refused(f'[devices.a]\ndriver = "depth_camera"\nport = "{port}"')
 
 
-def test_a_name_that_ffmpeg_takes_for_a_protocol_is_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_name_that_ffmpeg_takes_for_a_protocol_is_a_file(tmp_path: Path, monkeypatch: Patch) -> None:
     """`subfile,,start,...` and the like open what comes after them."""
     monkeypatch.chdir(tmp_path)
     opened: list[str] = []
@@ -253,7 +254,7 @@ def test_any_text_is_a_rig_of_devices_or_an_input_error(text: str) -> None:
 # Files ---------------------------------------------------------------------------------------------------------------
 
 
-def test_what_is_no_regular_file_is_refused_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_no_regular_file_is_refused_at_once(tmp_path: Path, capsys: Capture) -> None:
     os.mkfifo(tmp_path / "pipe")
     for path in ("/dev/zero", "/dev/null", tmp_path / "pipe", tmp_path):
         assert main(["doctor", str(path)]) == 2
@@ -332,9 +333,7 @@ def rig(greedy: Path, tmp_path: Path) -> Path:
     "command",
     [["doctor"], ["record"], ["live", "--viewer", "none"], ["explore", "--yes"], ["calibrate", "arm", "--yes"]],
 )
-def test_a_library_from_anywhere_is_not_loaded(
-    command: list[str], rig: Path, loaded: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_library_from_anywhere_is_not_loaded(command: list[str], rig: Path, loaded: Path, capsys: Capture) -> None:
     assert main([*command, str(rig)]) == 2
     said = capsys.readouterr()
     assert "--trust-rig" in said.out + said.err
@@ -343,7 +342,7 @@ def test_a_library_from_anywhere_is_not_loaded(
 
 @pytest.mark.parametrize("driver", ["jaco", "depth_camera"])
 def test_a_library_is_loaded_from_anywhere_once_the_rig_is_trusted(
-    driver: str, greedy: Path, loaded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    driver: str, greedy: Path, loaded: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     path = tmp_path / "rig.toml"
     path.write_text(f'[devices.a]\ndriver = "{driver}"\nlibrary = "{greedy}"\n')
@@ -362,7 +361,7 @@ def test_a_double_loads_no_library(greedy: Path, loaded: Path, tmp_path: Path) -
 
 
 @pytest.fixture
-def system(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def system(tmp_path: Path, monkeypatch: Patch) -> Path:
     """A folder that stands for one of the system's; the user who runs the tests stands for the administrator."""
     folder = tmp_path / "usr" / "lib"
     (folder / "vendor").mkdir(parents=True)
@@ -398,7 +397,7 @@ def test_a_library_that_others_could_have_put_there_is_refused(writable: str, sy
         system_library(path)
 
 
-def test_a_library_of_another_users_is_refused(system: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_library_of_another_users_is_refused(system: Path, monkeypatch: Patch) -> None:
     path = library_in(system)
     monkeypatch.setattr("deformscope.rig.vendor_library.ADMINISTRATOR", os.getuid() + 1)
     with pytest.raises(InputError, match="only the administrator can change"):
@@ -430,7 +429,7 @@ def test_this_systems_own_libraries_are_trusted() -> None:
     assert Path("/opt") in SYSTEM_FOLDERS  # where the example has Kinova's
 
 
-def test_modules_in_the_working_folder_are_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_modules_in_the_working_folder_are_not_run(tmp_path: Path, monkeypatch: Patch) -> None:
     """The process that reads a depth camera is another interpreter."""
     monkeypatch.chdir(tmp_path)
     Path("json.py").write_text("open('ran', 'w').close()")

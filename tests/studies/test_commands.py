@@ -17,6 +17,7 @@ from deformscope.stages.poke import stiffness_field
 from studies import coverage, doubt_rates, force, random_bodies, runner
 from studies.__main__ import main, summaries
 from studies.random_bodies import RandomBody, random_body
+from tests.cases import Capture, Patch
 from tests.cli.recorded import assert_shows
 from tests.stages.bodies import pushed
 
@@ -30,9 +31,7 @@ def small_body(rng: np.random.Generator, dim: int) -> RandomBody:
 
 
 @pytest.mark.slow
-def test_coverage_tells_three_tables(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_coverage_tells_three_tables(tmp_path: Path, capsys: Capture, monkeypatch: Patch) -> None:
     monkeypatch.setattr(random_bodies, "CONDITIONS", random_bodies.CONDITIONS[-1:])
     monkeypatch.setattr(random_bodies, "NOTHING_CASES", 1)
     monkeypatch.setattr(random_bodies, "CANDIDATES", 12)
@@ -61,9 +60,7 @@ def test_coverage_tells_three_tables(
 
 
 @pytest.mark.slow
-def test_coverage_of_forces_counts_what_random_slabs_say(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_coverage_of_forces_counts_what_random_slabs_say(tmp_path: Path, capsys: Capture, monkeypatch: Patch) -> None:
     monkeypatch.setattr(force, "KINDS", ("one material",))
     monkeypatch.setattr(stiffness_field, "PARTICLES", 300)
     target = tmp_path / "found.json"
@@ -88,18 +85,18 @@ def test_coverage_of_forces_counts_what_random_slabs_say(
 
 
 @pytest.mark.parametrize("flags", [["--scatter", "1"], ["--slabs", "0"], ["--seed", "995"]])
-def test_coverage_of_forces_refuses_what_cannot_be(flags: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_coverage_of_forces_refuses_what_cannot_be(flags: list[str], capsys: Capture) -> None:
     assert main(["force", *flags]) == 2
     assert "expected" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("flags", [["--objects", "2"], ["--level", "1"], ["--jobs", "0"], ["--seed", "-1"]])
-def test_coverage_refuses_what_cannot_be(flags: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_coverage_refuses_what_cannot_be(flags: list[str], capsys: Capture) -> None:
     assert main(["coverage", *flags]) == 2
     assert "expected" in capsys.readouterr().err
 
 
-def test_every_study_has_a_line_and_help(capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_study_has_a_line_and_help(capsys: Capture) -> None:
     assert main([]) == 0
     listed = capsys.readouterr().out
     for name, said in summaries().items():
@@ -147,7 +144,7 @@ def pair(path: Path) -> Path:
 
 
 @pytest.mark.slow  # stages/fit/test_joint proves the posterior
-def test_both_tells_a_joint_posterior(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_both_tells_a_joint_posterior(tmp_path: Path, capsys: Capture) -> None:
     source = pair(tmp_path / "pair.npz")
     files = ["--picture", str(tmp_path / "both.png"), "--record", str(tmp_path / "r.rrd")]
     assert deformscope_main(["calibrate", "both", str(source), *files, "--json", "-"]) == 0
@@ -162,12 +159,12 @@ def test_both_tells_a_joint_posterior(tmp_path: Path, capsys: pytest.CaptureFixt
     assert_shows(tmp_path / "r.rrd", says="beta and theta of", beside_particles=True)
 
 
-def test_both_takes_pair_files_alone(capsys: pytest.CaptureFixture[str]) -> None:
+def test_both_takes_pair_files_alone(capsys: Capture) -> None:
     assert deformscope_main(["calibrate", "both", "video.mp4"]) == 2
     assert "pair files" in capsys.readouterr().err
 
 
-def test_coverage_of_regions_prints_levels_and_bins(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_coverage_of_regions_prints_levels_and_bins(tmp_path: Path, capsys: Capture) -> None:
     target = tmp_path / "found.json"
     flags = ["--objects", "5", "--touches", "1", "--jobs", "1", "--scatter", "0.08", "--only", "scatter 8 %"]
     assert main(["regions", *flags, "--json", str(target)]) == 0
@@ -182,6 +179,6 @@ def test_coverage_of_regions_prints_levels_and_bins(tmp_path: Path, capsys: pyte
 
 
 @pytest.mark.parametrize("flags", [["--scatter", "0"], ["--only", "halves"], ["--seed", "990", "--objects", "20"]])
-def test_coverage_of_regions_refuses_what_cannot_be(flags: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_coverage_of_regions_refuses_what_cannot_be(flags: list[str], capsys: Capture) -> None:
     assert main(["regions", *flags]) == 2
     assert "expected" in capsys.readouterr().err

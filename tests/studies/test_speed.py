@@ -13,6 +13,7 @@ from studies.__main__ import main
 from studies.engines import peers
 from studies.engines.numpy_step import NumpyLattice
 from studies.engines.peers import Peer
+from tests.cases import Capture, Patch
 from tests.stages import reference_states
 
 WITHIN = 1e-12
@@ -36,9 +37,7 @@ def test_numpy_takes_the_reference_s_step(shape: tuple[int, ...], size: int) -> 
     np.testing.assert_allclose(v_new.reshape(d, -1).T, v_wanted, rtol=0, atol=WITHIN)
 
 
-def test_other_engines_that_are_not_installed_are_asked_for(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_other_engines_that_are_not_installed_are_asked_for(monkeypatch: Patch, capsys: Capture) -> None:
     monkeypatch.setattr(peers, "find_spec", lambda name: None)
     assert main(["speed", "--quick", "--peers"]) == EXIT_INPUT
     (line,) = capsys.readouterr().err.splitlines()
@@ -55,7 +54,7 @@ def test_pypbd_keeps_every_cluster_and_moves() -> None:
 
 
 @pytest.mark.slow  # compiles kernels of quadratic clusters
-def test_each_comparison_gives_rows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_each_comparison_gives_rows(tmp_path: Path, capsys: Capture) -> None:
     flags = ["--quick", "--sizes", "64", "--repeats", "1", "--json", str(tmp_path / "speed.json")]
     assert main(["speed", *flags]) == 0
     rows = json.loads((tmp_path / "speed.json").read_text(encoding="utf-8"))["rows"]

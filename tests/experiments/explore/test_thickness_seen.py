@@ -19,6 +19,7 @@ from deformscope.robot.setup import CameraView
 from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement
 from deformscope.stages.poke.contact import ArmCompliance
 from studies.reproduce.surface_robot import LabRobot
+from tests.cases import Patch
 from tests.cli.quick_scene import use_coarse_maps
 
 UNSTATED = ExploreOptions(beta_model="none", thickness_stated=False, seed=1000)
@@ -52,9 +53,7 @@ def test_thickness_is_taken_from_the_table_beside_the_foam(name: str) -> None:
 
 
 @pytest.mark.slow
-def test_where_no_table_is_seen_there_is_a_stiffness_but_no_modulus_and_no_beta_of_layers(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_where_no_table_is_seen_there_is_a_stiffness_but_no_modulus_and_no_beta_of_layers(monkeypatch: Patch) -> None:
     use_coarse_maps(monkeypatch)
     scene = built_in("homogeneous-60", 1000)
     robot = LabRobot(scene, UNSTATED, sees=False)

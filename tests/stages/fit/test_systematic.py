@@ -10,6 +10,7 @@ from deformscope.stages.fit import noise
 from deformscope.stages.fit.calibrate import FitOptions, Model, Observation, calibrate
 from deformscope.stages.fit.noise import OFFS, SCALE_ROUNDS, ErrorModel, Measured
 from deformscope.stages.fit.systematic import camera_modes, tool_modes
+from tests.cases import Patch
 
 
 def test_a_tool_shifts_and_turns_its_particles_and_what_is_fixed() -> None:
@@ -61,9 +62,7 @@ def test_products_are_those_of_the_whole_covariance() -> None:
         assert found.log_det[at] == pytest.approx(np.linalg.slogdet(covariance)[1], rel=1e-8)
 
 
-def test_a_camera_that_is_off_does_not_enlarge_the_noise_by_which_its_errors_are_measured(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_camera_that_is_off_does_not_enlarge_the_noise_by_which_its_errors_are_measured(monkeypatch: Patch) -> None:
     """The scale of white noise is found of what errors of tool and camera leave, in rounds."""
     scales = []
     for rounds in (1, SCALE_ROUNDS):

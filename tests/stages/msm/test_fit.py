@@ -7,6 +7,7 @@ from deformscope.stages.msm import iteration
 from deformscope.stages.msm.fit import LARGEST, _followed, fit_beta
 from deformscope.stages.msm.iteration import Newton
 from deformscope.stages.msm.solver import Msm
+from tests.cases import Patch
 from tests.stages.bodies import pushed
 
 
@@ -51,9 +52,7 @@ def test_one_launch_finds_what_evaluations_from_python_find(device: str, size: i
     assert (found.value, found.evaluations) == (pytest.approx(beta, abs=1e-7), evaluations)
 
 
-def test_a_search_that_comes_back_after_each_evaluation_is_the_same(
-    device: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_search_that_comes_back_after_each_evaluation_is_the_same(device: str, monkeypatch: Patch) -> None:
     rng = np.random.default_rng(7)
     body = pushed((6, 8), rng)
     engine = Msm(body.rest, body.clusters(3), body.held, device=device)

@@ -17,7 +17,7 @@ from deformscope.stages.msm.lanes import LANES
 from deformscope.stages.msm.lattice import LatticeBody
 from deformscope.stages.msm.reference import Rest, Volume
 from deformscope.stages.msm.solver import Msm, Precision
-from tests.cases import slow, slow_but
+from tests.cases import Patch, slow, slow_but
 from tests.stages import reference_states
 from tests.stages.bodies import SPACING_M, lattice
 
@@ -411,9 +411,7 @@ def test_a_candidate_that_is_not_a_number_spoils_no_other(device: str, precision
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", [Lattice((7, 8, 9), 3), Lattice((9, 8, 10), 6), Lattice((11, 12), 7)])
-def test_passes_one_lane_wide_step_as_the_kernels_that_stay(
-    monkeypatch: pytest.MonkeyPatch, device: str, case: Lattice
-) -> None:
+def test_passes_one_lane_wide_step_as_the_kernels_that_stay(monkeypatch: Patch, device: str, case: Lattice) -> None:
     """As on a GPU for larger bodies: a launch for each pass, of windows that are all summed up anew."""
     body = case.build()
     held = body.rest[body.held] + 0.2 * SPACING_M
@@ -438,9 +436,7 @@ def test_passes_one_lane_wide_step_as_the_kernels_that_stay(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 5])
-def test_goals_do_not_depend_on_the_width_of_the_lanes_but_for_rounding(
-    monkeypatch: pytest.MonkeyPatch, count: int
-) -> None:
+def test_goals_do_not_depend_on_the_width_of_the_lanes_but_for_rounding(monkeypatch: Patch, count: int) -> None:
     body = Lattice((5, 6, 7), 3).build()
     states = body.states(count)
     found = {}

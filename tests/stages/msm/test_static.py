@@ -12,7 +12,7 @@ from deformscope.stages.msm import clusters, iteration, reference
 from deformscope.stages.msm.clusters import Clusters
 from deformscope.stages.msm.reference import Rest, Volume
 from deformscope.stages.msm.solver import Msm, Precision, Relaxed
-from tests.cases import slow_but
+from tests.cases import Patch, slow_but
 from tests.stages import reference_states
 from tests.stages.bodies import SPACING_M, lattice, pushed
 
@@ -147,9 +147,7 @@ def test_bodies_that_slip_and_come_to_no_state_say_so(device: str) -> None:
     assert np.isfinite(found.position).all()
 
 
-def test_a_second_beginning_whose_time_is_over_leaves_the_nearer_state(
-    device: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_second_beginning_whose_time_is_over_leaves_the_nearer_state(device: str, monkeypatch: Patch) -> None:
     press = _press(*PRESSED[1])
     engine = Msm(press.rest, press.grouped, press.held, device=device)
     first = engine.relax(
@@ -398,9 +396,7 @@ def test_a_solve_whose_time_is_over_says_so_and_what_is_left(
 
 
 @pytest.mark.parametrize(("volume", "theta"), [*MODES, pytest.param("scale", 0.3, marks=pytest.mark.slow)])
-def test_one_long_solve_tells_that_it_runs(
-    device: str, monkeypatch: pytest.MonkeyPatch, volume: Volume, theta: float
-) -> None:
+def test_one_long_solve_tells_that_it_runs(device: str, monkeypatch: Patch, volume: Volume, theta: float) -> None:
     monkeypatch.setattr(iteration, "TELL_EVERY_S", 0.0)
     body = pushed((22, 22, 22), np.random.default_rng(20))
     engine = Msm(body.rest, body.clusters(3), body.held, device=device)

@@ -11,6 +11,7 @@ from deformscope.errors import InputError
 from deformscope.stages.squeeze import model_check
 from deformscope.stages.squeeze.model import ContentModel, fit_model
 from deformscope.stages.squeeze.model_check import check_model
+from tests.cases import Patch
 from tests.stages.squeeze.trials import stepped, two_modalities
 
 PROMISED = {"accuracy": 0.97, "interval": (0.95, 0.99)}
@@ -88,9 +89,7 @@ def test_answers_that_are_too_sure_have_a_calibration_error_that_shows() -> None
 
 
 @pytest.mark.parametrize("off", [0.0, 0.05, 0.15])
-def test_the_debiased_error_is_what_was_put_in_and_its_interval_holds_it(
-    off: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_debiased_error_is_what_was_put_in_and_its_interval_holds_it(off: float, monkeypatch: Patch) -> None:
     """Answers whose probabilities are above the share that is right by as much, 300 at a time."""
     monkeypatch.setattr(model_check, "DRAWS", 200)
     held, values, chance = [], [], []

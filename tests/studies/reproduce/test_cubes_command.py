@@ -10,6 +10,7 @@ import pytest
 from deformscope.cli import EXIT_INPUT
 from studies.__main__ import main
 from studies.reproduce import pressed_cubes as cubes
+from tests.cases import Capture, Patch
 from tests.cli.recorded import assert_shows
 
 TOP = {
@@ -33,9 +34,7 @@ def pairs(tmp_path: Path) -> list[str]:
 
 
 @pytest.mark.slow  # kernels of quadratic clusters as lists; reproduce/test_cubes proves the numbers
-def test_pairs_give_figures_tables_and_json(
-    pairs: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_pairs_give_figures_tables_and_json(pairs: list[str], tmp_path: Path, capsys: Capture) -> None:
     out = tmp_path / "new" / "out"
     flags = ["--out", str(out), "--jobs", "1", "--record", str(tmp_path / "r.rrd"), "--json", "-"]
     assert main(["reproduce", "cubes", "--pairs", *pairs[::-1], *flags]) == 0
@@ -58,9 +57,7 @@ def test_pairs_give_figures_tables_and_json(
 
 
 @pytest.mark.slow
-def test_the_thesis_s_cubes_are_made_and_the_table_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_thesis_s_cubes_are_made_and_the_table_told(tmp_path: Path, monkeypatch: Patch, capsys: Capture) -> None:
     monkeypatch.setattr(cubes, "SIDES", (3, 4))
     monkeypatch.setattr(cubes, "POISSON", (0.3,))
     assert main(["reproduce", "cubes", "--out", str(tmp_path), "--jobs", "1", "--compare", "all"]) == 0
@@ -94,7 +91,7 @@ def test_none_to_compare_draws_no_clusters(pairs: list[str], tmp_path: Path) -> 
     ],
 )
 def test_what_cannot_be_done_is_told_in_a_line(
-    flags: list[str], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    flags: list[str], words: str, tmp_path: Path, monkeypatch: Patch, capsys: Capture
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").touch()

@@ -14,6 +14,7 @@ from studies.__main__ import main
 from studies.map_score import MapScore
 from studies.reproduce import table41
 from studies.reproduce.table41_runs import MapAfter, TableJob, TableRun
+from tests.cases import Capture, Patch
 from tests.executor.test_tasks import paths_of_tests
 from tests.patience import PATIENCE_S
 
@@ -31,11 +32,7 @@ ONE = ["reproduce", "table41", "--jobs", "1"]
     ],
 )
 def test_what_cannot_be_explored_is_said_in_one_line(
-    arguments: list[str],
-    words: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    arguments: list[str], words: str, tmp_path: Path, capsys: Capture, monkeypatch: Patch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["reproduce", "table41", *arguments]) != 0
@@ -45,7 +42,7 @@ def test_what_cannot_be_explored_is_said_in_one_line(
 
 
 @pytest.mark.slow  # presses finite elements
-def test_the_table_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_table_is_written(tmp_path: Path, capsys: Capture) -> None:
     arguments = ["--scenes", "homogeneous-110", "--touches", "1", "--out", str(tmp_path), "--seeds", "1"]
     assert main([*ONE, *arguments, "--json", str(tmp_path / "t.json")]) == 0
     assert "homogeneous-110 regions" in capsys.readouterr().out
@@ -56,9 +53,7 @@ def test_the_table_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert row["field_rms"] < 0.1
 
 
-def test_planners_are_compared(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_planners_are_compared(tmp_path: Path, capsys: Capture, monkeypatch: Patch) -> None:
     """Of runs that are not computed: one planner is twice as fast."""
 
     def run(job: TableJob) -> TableRun:
