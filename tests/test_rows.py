@@ -158,6 +158,5 @@ def test_what_is_known_of_a_device_is_json() -> None:
 def test_an_alias_of_an_array_is_an_array() -> None:
     """NumPy 2.5 has such an alias for NDArray. Read as a value, it ended exports of recordings."""
     named = TypeAliasType("named", np.ndarray[Any, np.dtype[Number]], type_params=(Number,))  # type: ignore[misc,valid-type]
-    aliased = dataclasses.make_dataclass("Aliased", [("numbers", named[np.float64])])
-    of = field_of(aliased, "numbers")
+    of = field_of(dataclasses.make_dataclass("Aliased", [("numbers", named[np.float64])]), "numbers")
     assert of.form == "array"

@@ -63,8 +63,7 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--site-dir", str(tmp_path)]
     built = subprocess.run(command, cwd=ROOT, env=environment(), capture_output=True, text=True)
     assert (built.returncode, built.stdout + built.stderr) == (0, "")
-    page = (tmp_path / "reference" / "rig-file.html").read_text(encoding="utf-8")
-    assert "hard_stop_n" in page
+    assert "hard_stop_n" in (tmp_path / "reference" / "rig-file.html").read_text(encoding="utf-8")
     assert [made.name for made in tmp_path.rglob("*.html") if "```" in made.read_text(encoding="utf-8")] == []
     start = (tmp_path / "index.html").read_text(encoding="utf-8")
     assert re.findall(r'(?:<script[^>]* src|<link[^>]* rel="stylesheet"[^>]* href)="(?:https?:)?//[^"]*', start) == []

@@ -36,8 +36,7 @@ def test_step(benchmark: Any, body: BenchBody, device: str) -> None:
 
 
 def test_relax(benchmark: Any, body: BenchBody, device: str) -> None:
-    static = benchmark(partial(engine(body, device).relax, body.held_position, BETA))
-    assert static.converged.all()
+    assert benchmark(partial(engine(body, device).relax, body.held_position, BETA)).converged.all()
 
 
 def test_sweep(benchmark: Any, body: BenchBody, device: str) -> None:

@@ -93,8 +93,7 @@ class FakeRobot:
         stiffness = 1.5 if xy_m[0] > 0.3 else 0.6
         force = np.concatenate([np.zeros(30), np.linspace(0.0, 3.0, 60)])
         depth = 3e-3 / stiffness * (force / 3.0) ** (1.0 / 1.5)
-        free = np.concatenate([np.linspace(0.01, 0.0, 30), np.zeros(60)])
-        height = height_m + 0.01 + free - depth
+        height = height_m + 0.01 + np.concatenate([np.linspace(0.01, 0.0, 30), np.zeros(60)]) - depth
         position = np.column_stack([np.tile(xy_m, (90, 1)), height])
         along = np.column_stack([np.zeros((90, 2)), force])
         up = np.array([0.0, 0.0, 1.0])

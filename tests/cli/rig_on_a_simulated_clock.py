@@ -132,7 +132,6 @@ def count_as_real(monkeypatch: pytest.MonkeyPatch, **changes: Any) -> None:
     changes = {"calibrated": {"all": True}} | changes
 
     def made(*arguments: Any) -> Setup:
-        setup = rig_setup(*arguments)
-        return dataclasses.replace(setup, simulated=False, **changes)
+        return dataclasses.replace(rig_setup(*arguments), simulated=False, **changes)
 
     monkeypatch.setattr("deformscope.robot.setup.rig_setup", made)

@@ -191,8 +191,7 @@ def test_replay_gives_the_recorded_numbers(
     assert json.loads(shown.out) == first
     assert "identical" in shown.err
     # a recording is a source, too
-    again = run_json(["calibrate", "beta", str(record), *source[1:]], capsys)
-    assert again["value"] == first["value"]
+    assert run_json(["calibrate", "beta", str(record), *source[1:]], capsys)["value"] == first["value"]
 
 
 @pytest.mark.parametrize(

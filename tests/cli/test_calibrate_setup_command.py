@@ -181,12 +181,10 @@ def test_without_a_terminal_nobody_is_asked(rig: Path, capsys: pytest.CaptureFix
 
 
 def test_the_first_day_in_its_order() -> None:
-    rig = parse_rig(RIG, "rig.toml")
-    steps = commissioning_steps(rig, "rig.toml")
+    steps = commissioning_steps(parse_rig(RIG, "rig.toml"), "rig.toml")
     assert [step.what for step in steps] == ["tip", "place", "camera", "force", "arm", "time", "explore"]
     assert {step.what for step in steps if step.state != "to do"} == {"time"}  # the only one that is optional
-    following = next_step(steps)
-    assert following.command == "deformscope calibrate tip rig.toml"
+    assert next_step(steps).command == "deformscope calibrate tip rig.toml"
     old = RIG + "T_ee_tip = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0.1], [0, 0, 0, 1]]\n"
     assert commissioning_steps(parse_rig(old, "rig.toml"), "rig.toml")[0].state == "by hand"
     old += "[calibrated.tip]\ndate = 2020-01-01\n"

@@ -229,8 +229,7 @@ def test_a_catalog_is_served_until_it_is_ended_without_a_terminal_too(tmp_path: 
         command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
     ) as ran:
         assert ran.stderr is not None
-        line = next(one for one in ran.stderr if "until Ctrl-C" in one)
-        assert asked(line.split()[-1])[0] == 200
+        assert asked(next(one for one in ran.stderr if "until Ctrl-C" in one).split()[-1])[0] == 200
         assert ran.poll() is None
         ran.send_signal(ends)
         assert ran.wait(PATIENCE_S) == (0 if ends == signal.SIGINT else 128 + ends)

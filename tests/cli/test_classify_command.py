@@ -54,8 +54,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp("classify")
     table = two_modalities()
     series = np.stack([0.3 * table.modalities["touch"], table.modalities["touch"]], axis=1)
-    kind = np.array(["carton", "bottle"])[np.arange(64) % 2]
-    write(made / "t.npz", kind=kind, **{"series.touch": series})
+    write(made / "t.npz", kind=np.array(["carton", "bottle"])[np.arange(64) % 2], **{"series.touch": series})
     files = ["--json", str(made / "t.json"), "--report", str(made / "report"), "--save", str(made / "m.npz")]
     assert main(["classify", str(made / "t.npz"), *FAST, *files, "--record", str(made / "t.rrd")]) == 0
     return made

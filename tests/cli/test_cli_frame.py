@@ -309,8 +309,7 @@ def raising(error: BaseException) -> Callable[[config.FlowConfig], None]:
 
 
 def fail(error: BaseException, command: Callable[..., list[str]], capsys: Capture) -> tuple[int, str]:
-    status = cli.main(command(raising(error)))
-    return status, one_line(capsys).removeprefix("deformscope: error: ")
+    return cli.main(command(raising(error))), one_line(capsys).removeprefix("deformscope: error: ")
 
 
 def test_an_input_error_is_status_2(command: Callable[..., list[str]], capsys: Capture) -> None:
@@ -485,8 +484,7 @@ def test_an_output_out_of_reach_is_found_before_the_work(
 ) -> None:
     Path("taken.npz").touch()
     Path("folder.npz").mkdir()
-    args = command(raising(AssertionError("ran")))[:3]
-    assert cli.main([*args, *flags]) == 2
+    assert cli.main([*command(raising(AssertionError("ran")))[:3], *flags]) == 2
     assert says in one_line(capsys)
 
 

@@ -128,8 +128,7 @@ def test_doctor_s_list_leads_from_an_empty_file_to_an_exploration(
             assert main([*arguments[1:], "--record", str(recording)]) == 0
             assert verify_here(recording) == 0
     assert done == ["tip", "place", "camera", "force"]
-    parts = RigParts.of(load_rig(rig))
-    _, randomized = table_of(parts)
+    _, randomized = table_of(RigParts.of(load_rig(rig)))
     assert randomized is not None
     check_found(rig, randomized)
 

@@ -169,8 +169,7 @@ def alter_one(monkeypatch: Patch, kind: type, record: Path) -> None:
 
 def test_a_recording_without_a_frame_that_was_used_is_refused(tmp_path: Path, monkeypatch: Patch) -> None:
     state = ArmFrame(Stamp(7), 0, *(np.zeros(6),) * 3, *(np.zeros(3),) * 5)
-    named = LookFrames("camera", np.array([5]), "arm", 7, "j2n6s300", (1.0, 1.0), (0.0, 0.0))
-    one = Row(0, 0, named)
+    one = Row(0, 0, LookFrames("camera", np.array([5]), "arm", 7, "j2n6s300", (1.0, 1.0), (0.0, 0.0)))
     monkeypatch.setattr(
         "deformscope.experiments.explore.recorded_touches.read_results", lambda *_, **options: iter([one])
     )
@@ -408,8 +407,7 @@ def test_a_full_disk_halts_the_arm_first(tmp_path: Path, capsys: Capture, monkey
 
     assert main(["explore", "lab:two-60-150", *STOPPED, "--record", str(record)]) == 2
     shown = capsys.readouterr()
-    last = shown.err.strip().splitlines()[-1]
-    assert "MiB free on the disk" in last
+    assert "MiB free on the disk" in shown.err.strip().splitlines()[-1]
     assert Phase.PRESS not in began
     assert stopped == ["its monitor failed: RecordingError"]
     assert re.search(r"^  touches +0, ", shown.out, re.MULTILINE)  # what is known, and that the arm is at rest

@@ -87,8 +87,7 @@ def test_force_and_pose_are_the_forces_rows_with_the_arm_between_its_states(expl
     T = np.array(poses)
     since = np.clip(felt.host_ns, times[0], times[-1]) - times[0]
     slerp = Slerp(np.array(times) - times[0], Rotation.from_matrix(T[:, :3, :3]))(since)
-    turned = (Rotation.from_rotvec(felt.values[:, 6:]).inv() * slerp).magnitude()
-    assert turned.max() < 1e-7
+    assert (Rotation.from_rotvec(felt.values[:, 6:]).inv() * slerp).magnitude().max() < 1e-7
     for axis in range(3):
         expected = np.interp(since, np.array(times) - times[0], T[:, axis, 3])
         np.testing.assert_allclose(felt.values[:, 3 + axis], expected, atol=1e-12)

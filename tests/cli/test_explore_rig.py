@@ -142,8 +142,7 @@ def test_a_real_arm_does_not_move_unless_somebody_says_yes(rig: Path, capsys: Ca
     moved: list[Any] = []
     monkeypatch.setattr("deformscope.robot.robot.Robot.let_move", lambda robot, preflight: moved.append(preflight))
     assert main(["explore", str(rig), "--touches", "1"]) == 2
-    said = capsys.readouterr().err
-    assert "--yes" in said
+    assert "--yes" in capsys.readouterr().err
     assert not moved
 
 

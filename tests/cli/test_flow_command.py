@@ -73,8 +73,7 @@ def test_the_way_back_the_picture_and_the_json(capsys: pytest.CaptureFixture[str
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_images_that_do_not_move_are_drawn_too(dtype: type[np.generic]) -> None:
-    still = texture(40, 64).astype(dtype)
-    cv2.imwrite("still.png", np.dstack([still] * 3))
+    cv2.imwrite("still.png", np.dstack([texture(40, 64).astype(dtype)] * 3))
     assert main(["flow", "still.png", "still.png", "--out", "f.npz", "--picture", "f.png", "--json", "f.json"]) == 0
     assert json.loads(Path("f.json").read_text())["max_px"] == pytest.approx(0, abs=0.01)
     assert Path("f.png").is_file()

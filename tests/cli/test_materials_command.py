@@ -164,8 +164,7 @@ def test_a_camera_that_saw_no_end_of_the_push_is_refused_with_what_to_record(
     assert "--at LOADED,UNLOADED with" in failure(["calibrate", "viscous", *let_go, "--at", "3,9"], capsys)
     held = ["--held", "top,bottom", "--contact", "0,0,9,9"]
     assert "contact among --held" in failure(["calibrate", "yield", pressed_on, *held], capsys)
-    mixed = failure(["calibrate", "axes", "a.npz", pressed_on], capsys)
-    assert "either .npz files or images" in mixed
+    assert "either .npz files or images" in failure(["calibrate", "axes", "a.npz", pressed_on], capsys)
 
 
 @pytest.mark.slow

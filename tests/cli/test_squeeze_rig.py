@@ -104,8 +104,7 @@ def kept_as_discarded(made: SimulatedSqueezeRig, found: dict[str, Any], reason: 
     assert found["limits_restored"]
     assert made.closing_deg_s() <= 0.0
     assert made.limits_a() == BEFORE_A
-    recording = SqueezeDataset(Path("d")).recording_path(entry.trial)
-    assert verify_here(recording) == verified
+    assert verify_here(SqueezeDataset(Path("d")).recording_path(entry.trial)) == verified
 
 
 def interrupt() -> None:

@@ -201,8 +201,7 @@ def test_a_command_that_ends_with_a_warning_is_marked(tmp_path: Path) -> None:
 
 
 def test_a_function_in_a_worker_has_one_thread(tmp_path: Path) -> None:
-    found = ds.sweep(threads_of, [PAIR], out=tmp_path, workers=1)
-    assert found.table["threads"].to_pylist() == [1]
+    assert ds.sweep(threads_of, [PAIR], out=tmp_path, workers=1).table["threads"].to_pylist() == [1]
 
 
 def threads_of(source: str) -> dict[str, int]:

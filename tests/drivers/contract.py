@@ -195,8 +195,7 @@ class DeviceContract:
         readings = device.readings()
         device.next(PATIENCE_S)
         bench.unplug()
-        lost = events.get(PATIENCE_S)
-        assert lost.link is Link.LOST
+        assert events.get(PATIENCE_S).link is Link.LOST
         assert device.health().reason
         bench.plug()
         wait_until(lambda: device.link is Link.CONNECTED)

@@ -20,8 +20,7 @@ def speckle_images(
     positions of each pose, all in image coordinates; noise: of a grey value"""
     rng = np.random.default_rng(seed)
     width, height = (int(one) + BORDER_PX for one in rest_px.max(axis=0))
-    white = rng.standard_normal((height, width))
-    soft = cv2.GaussianBlur(white, (0, 0), 1.6)
+    soft = cv2.GaussianBlur(rng.standard_normal((height, width)), (0, 0), 1.6)
     pattern = 128.0 + 40.0 * soft / soft.std()
     y, x = np.mgrid[:height, :width].astype(np.float64)
     rows, cols = rest_px[:: shape[1], 1], rest_px[: shape[1], 0]

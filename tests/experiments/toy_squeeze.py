@@ -158,8 +158,7 @@ class ToySqueeze:
         angles = [axis.position_deg for axis in self.hand_double.motion.axes]
         pads = [np.zeros(shape) for shape in PAD_SHAPES]
         for axis, pad in zip(CLOSING_AXES, (1, 5), strict=True):
-            beyond = max(angles[axis] - self.contact_deg, 0.0)
-            pads[pad][3:7, 1:4] = beyond * self.stiffness_pa_deg
+            pads[pad][3:7, 1:4] = max(angles[axis] - self.contact_deg, 0.0) * self.stiffness_pa_deg
         return pads
 
 
@@ -200,8 +199,7 @@ def use_toy_squeeze(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     ) -> SqueezeOpening:
         stiffness = (400.0 if content == "rice" else 100.0) + 17.0 * seed
         lab = ToySqueeze(stiffness_pa_deg=stiffness, gives_deg=2.0 + 0.1 * (seed % 7))
-        grasp = draw_grasp(lab.container, lab.squeeze, seed)
-        setup = dataclasses.replace(lab.setup, grasp=grasp, **changes)
+        setup = dataclasses.replace(lab.setup, grasp=draw_grasp(lab.container, lab.squeeze, seed), **changes)
         return SqueezeOpening(setup, {"lab": "toy"}, content or "rice", container or "box-01")
 
     monkeypatch.setattr("deformscope.runs.squeeze_run.squeeze_setup_of", opening)

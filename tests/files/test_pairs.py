@@ -47,8 +47,7 @@ def test_holes_need_their_cells() -> None:
 
 def test_a_cloud_stands_on_no_lattice() -> None:
     rest = np.random.default_rng(0).uniform(0, 0.1, (20, 3))
-    seen = parse_pair(pair(rest=rest, deformed=rest))
-    assert seen.shape is None
+    assert parse_pair(pair(rest=rest, deformed=rest)).shape is None
 
 
 def test_noise_may_be_one_number_or_each_particles_own() -> None:

@@ -80,8 +80,7 @@ def test_a_pair_by_its_name_is_a_pair(capsys: pytest.CaptureFixture[str]) -> Non
     fitted = ds.calibrate_beta("sample:pair", candidates=5)
     assert fitted.to_dict() == found
     assert fitted.model().stiffness
-    together = ds.calibrate_beta(["sample:pair", "sample:pair"], candidates=5)
-    assert together.name == "all pairs"
+    assert ds.calibrate_beta(["sample:pair", "sample:pair"], candidates=5).name == "all pairs"
     assert main([*PAIR, "--roi", "1,2,3,4"]) == 2
     assert "no flags about images with pair files" in capsys.readouterr().err
     assert main(["calibrate", "beta", "sample:pair", "sample:tension"]) == 2

@@ -69,8 +69,7 @@ def test_folder_in_natural_order(tmp_path: Path) -> None:
 
 
 def test_files_keep_the_order_given(tmp_path: Path) -> None:
-    names = ["b.png", "a.png", "c.png"]
-    paths = [write(tmp_path / name, noise(index)) for index, name in enumerate(names)]
+    paths = [write(tmp_path / name, noise(index)) for index, name in enumerate(["b.png", "a.png", "c.png"])]
     for index, frame in enumerate(read(*paths)):
         np.testing.assert_array_equal(frame.image, noise(index))
 
@@ -84,8 +83,7 @@ def test_formats_without_loss(tmp_path: Path, suffix: str) -> None:
 @pytest.mark.parametrize("suffix", [".jpg", ".webp"])
 def test_formats_with_loss(tmp_path: Path, suffix: str) -> None:
     image = np.full((*SIZE, 3), (200, 100, 50), np.uint8)
-    found = read_image(write(tmp_path / f"A{suffix.upper()}", image))
-    assert np.abs(found.astype(int) - image).max() <= 6
+    assert np.abs(read_image(write(tmp_path / f"A{suffix.upper()}", image)).astype(int) - image).max() <= 6
 
 
 @pytest.mark.parametrize("suffix", [".png", ".tif"])
@@ -110,14 +108,12 @@ def test_own_png_is_exact(channels: int, depth: type) -> None:
 
 @pytest.mark.parametrize(("mode", "shape"), [("P", (*SIZE, 3)), ("1", SIZE), ("RGBA", (*SIZE, 3)), ("L", SIZE)])
 def test_unusual_pngs(tmp_path: Path, mode: str, shape: tuple[int, ...]) -> None:
-    pil = pytest.importorskip("PIL.Image")
-    image = pil.fromarray(noise(4, 3)).convert(mode)
+    image = pytest.importorskip("PIL.Image").fromarray(noise(4, 3)).convert(mode)
     image.save(tmp_path / "a.png")
     found = read_image(tmp_path / "a.png")
     assert found.shape == shape
     assert found.dtype == np.uint8
-    expected = np.asarray(image.convert("RGB" if len(shape) == 3 else "L"))
-    np.testing.assert_array_equal(found, expected)
+    np.testing.assert_array_equal(found, np.asarray(image.convert("RGB" if len(shape) == 3 else "L")))
 
 
 def test_video_is_stamped_by_its_own_rate(tmp_path: Path) -> None:

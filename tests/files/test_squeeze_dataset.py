@@ -30,8 +30,7 @@ def trial(number: int, content: str = "rice", container: str = "box-01", **chang
 
 
 def dataset(folder: Path, *rows: TrialRow) -> SqueezeDataset:
-    made = SqueezeDataset(folder, SETTINGS)
-    made.add(rows)
+    SqueezeDataset(folder, SETTINGS).add(rows)
     return SqueezeDataset(folder)
 
 
@@ -93,8 +92,7 @@ def test_two_sets_become_one_with_their_recordings(tmp_path: Path) -> None:
     assert one.merge(other) == 1
     assert [entry.seed for entry in one.entries()] == [1, 2]
     assert one.recording_path("s-box-01-00002").read_bytes() == b"bytes"
-    changed = trial(2)
-    differs = dataset(tmp_path / "c", dataclasses.replace(changed, features={"tactile": np.zeros(72)}))
+    differs = dataset(tmp_path / "c", dataclasses.replace(trial(2), features={"tactile": np.zeros(72)}))
     with pytest.raises(InputError, match="another trial s-box-01-00002"):
         one.merge(differs)
 
@@ -108,8 +106,7 @@ def test_other_settings_are_refused(tmp_path: Path) -> None:
 def test_a_missing_trial_and_what_is_no_data_set_are_refused_in_one_line(tmp_path: Path) -> None:
     made = dataset(tmp_path / "d", trial(1), trial(2))
     path = tmp_path / "d" / FEATURES
-    table = pq.read_table(path)
-    pq.write_table(table.slice(0, 1), path)
+    pq.write_table(pq.read_table(path).slice(0, 1), path)
     with pytest.raises(InputError, match="features of s-box-01-00002; got none"):
         made.table()
     with pytest.raises(InputError, match=r"with its index\.parquet; got a folder without it"):
@@ -126,7 +123,6 @@ def test_a_missing_trial_and_what_is_no_data_set_are_refused_in_one_line(tmp_pat
 )
 def test_a_table_that_lost_a_column_is_refused_in_one_line(tmp_path: Path, name: str, column: str) -> None:
     made = dataset(tmp_path, trial(1), trial(2))
-    table = pq.read_table(tmp_path / name)
-    pq.write_table(table.drop_columns([column]), tmp_path / name)
+    pq.write_table(pq.read_table(tmp_path / name).drop_columns([column]), tmp_path / name)
     with pytest.raises(InputError, match=f"got a {re.escape(name)} without "):
         made.rows()

@@ -106,8 +106,7 @@ def test_points_outside_their_message_are_refused(changes: dict[str, Any]) -> No
 def test_points_whose_fields_lie_anywhere_in_them_are_taken() -> None:
     pytest.importorskip("rosbags")
     for changes in ({}, {"offset": 12}, {"count": 0}, {"offset": 8, "datatype": 8}):
-        frame = frame_of("depth", "sensor_msgs/msg/PointCloud2", cloud(**changes))
-        assert frame.depth.shape == (2, 3)
+        assert frame_of("depth", "sensor_msgs/msg/PointCloud2", cloud(**changes)).depth.shape == (2, 3)
     assert (frame_of("depth", "sensor_msgs/msg/PointCloud2", cloud(offset=12)).depth == 5000).all()
     types = stores()[1].types
     fields = [types["sensor_msgs/msg/PointField"](name, 4 * at, 7, 1) for at, name in enumerate("xyz")]
@@ -316,8 +315,7 @@ def test_the_same_text_in_every_row_is_not_unpacked_at_once(tmp_path: Path) -> N
 
 
 def joint_states(names: int, count: int = 5) -> Any:
-    types = stores()[1].types
-    state, values = types["sensor_msgs/msg/JointState"], np.arange(names) * 0.001
+    state, values = stores()[1].types["sensor_msgs/msg/JointState"], np.arange(names) * 0.001
     named = [f"j{at}" for at in range(names)]
     return [state(header(), named[at:] + named[:at], np.roll(values, -at), values, values) for at in range(count)]
 

@@ -393,8 +393,7 @@ def test_a_pose_and_another_clock_are_asked_for_by_name(tmp_path: Path, capfd: p
     for done in range(2):
         (tmp_path / "map.toml").write_text(answered(text, *ANSWERS[:done]))
         assert main(["import", str(bag), "--map", str(tmp_path / "map.toml"), "--record", str(tmp_path / "r.rrd")]) == 2
-        error = capfd.readouterr().err
-        assert f"expected {('parent', 'child')[done]} of joint_states in the map" in error
+        assert f"expected {('parent', 'child')[done]} of joint_states in the map" in capfd.readouterr().err
     forces_alone = '[[streams]]\ndevice = "ft"\nkind = "wrench"\ntopics = ["/ft/wrench"]\n'
     depth = '[[streams]]\ndevice = "cam"\nkind = "depth"\ntopics = ["/cam/depth"]\ntime = "log"\n'
     (tmp_path / "map.toml").write_text(forces_alone + depth)

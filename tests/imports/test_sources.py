@@ -104,16 +104,14 @@ def test_a_table_whose_time_goes_back_gets_a_hint_that_it_can_take(
 
 def test_clocks_that_differ_by_seconds_are_asked_for(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """At 100 Hz for 4 s: the spans of both overlap."""
-    near = write_bag(tmp_path / "near.mcap", steady, other_s=-0.5)
-    imported(near, OTHER, tmp_path / "near.rrd")
+    imported(write_bag(tmp_path / "near.mcap", steady, other_s=-0.5), OTHER, tmp_path / "near.rrd")
     bag = write_bag(tmp_path / "bag.mcap", steady, other_s=-2.0, nan=0)  # whose first force is refused, when it is read
     error = refused(bag, OTHER, tmp_path / "r.rrd", capfd)
     assert "expected offset_s of other in the map: how its clock differs; got 'stamps 2 s from those of ft'" in error
     bag = write_bag(tmp_path / "bag.mcap", steady, other_s=-2.0)
     at: dict[float, int] = {}
     for offset_s in (0.0, 2.0):
-        path = imported(bag, f"{OTHER}offset_s = {offset_s}\n", tmp_path / f"{offset_s}.rrd")
-        frames = frames_of(path)
+        frames = frames_of(imported(bag, f"{OTHER}offset_s = {offset_s}\n", tmp_path / f"{offset_s}.rrd"))
         at[offset_s] = frames["other"][0].stamp.host_ns - frames["ft"][0].stamp.host_ns
     assert at == {0.0: -2 * 10**9, 2.0: 0}
 

@@ -23,8 +23,7 @@ UP = np.array([0.0, 0.0, 1.0])
 def with_ball(depth_m: float, times: float) -> Scene:
     """A ball in the middle of the foam, so many times as stiff."""
     scene = built_in("empty", 1)
-    foam_pa = scene.pieces[0].modulus_pa
-    return replace(scene, buried=BuriedBall((0.1, 0.1), 0.02, depth_m, times * foam_pa))
+    return replace(scene, buried=BuriedBall((0.1, 0.1), 0.02, depth_m, times * scene.pieces[0].modulus_pa))
 
 
 def log_stiffness(scene: Scene, xy_m: FloatArray) -> float:
@@ -90,8 +89,7 @@ def _fine_log_stiffness(scene: Scene, aside_m: float) -> float:
             step = 0.0015 if right[-1] < 0.0105 else 0.003 if right[-1] < 0.045 else 1.6 * step
             right.append(right[-1] + step)
         every = middle + np.concatenate([-np.array(right[:0:-1]), right])
-        kept = every[(every > low + 1e-3) & (every < high - 1e-3)]
-        return np.concatenate([[low], kept, [high]])
+        return np.concatenate([[low], every[(every > low + 1e-3) & (every < high - 1e-3)], [high]])
 
     depths, step = [0.0], 0.0011
     while depths[-1] < scene.thickness_m:

@@ -64,8 +64,7 @@ def test_it_looks_at_the_middle_from_80_cm_at_45_degrees(view: DepthView) -> Non
 def test_corners_appear_where_they_project(view: DepthView) -> None:
     """The upper side's pixels are those inside the four corners' quadrilateral, to a pixel."""
     exact = view.render()
-    corners = np.array([[0, 0, 0.05], [0.6, 0, 0.05], [0.6, 0.4, 0.05], [0, 0.4, 0.05]])
-    corner = view.pixels(corners)
+    corner = view.pixels(np.array([[0, 0, 0.05], [0.6, 0, 0.05], [0.6, 0.4, 0.05], [0, 0.4, 0.05]]))
     row, column = np.mgrid[0:240, 0:320]
     inside = np.full(row.shape, np.inf)
     for a, b in zip(corner, np.roll(corner, 1, axis=0), strict=True):
@@ -183,8 +182,7 @@ def test_noise_grows_with_the_square_of_the_distance(view: DepthView) -> None:
 
 
 def test_some_points_are_missing_and_flat_views_tell_nothing(view: DepthView) -> None:
-    config = dataclasses.replace(SMALL, missing=0.05, grazing_deg=30.0)
-    other = DepthView(FLAT, config)
+    other = DepthView(FLAT, dataclasses.replace(SMALL, missing=0.05, grazing_deg=30.0))
     exact = other.render()
     depth = other.observe(exact, np.random.default_rng(1))
     flat = (exact.seen != NOTHING) & (np.abs(exact.facing) < np.sin(np.deg2rad(30.0)))
@@ -208,8 +206,7 @@ def test_colour_gives_no_region_away(view: DepthView) -> None:
     place = view.points_m(exact.depth_m)
     upper = (exact.seen == FOAM) & (place[..., 2] > 0.0499)
     column = np.flatnonzero(upper[120])
-    label = FLAT.label(place[120, column, :2])
-    assert set(label) == {0, 1}
+    assert set(FLAT.label(place[120, column, :2])) == {0, 1}
     row = exact.color[120, column].astype(int)
     assert np.abs(np.diff(row, axis=0)).max() <= 1
     assert (np.abs(exact.color[~upper].astype(int) - row[0]).max(axis=-1) > 20).mean() > 0.9

@@ -41,8 +41,7 @@ def test_the_dent_is_the_ball_and_fades_away() -> None:
     depth_m = 0.004
     world.press(np.array([0.3, 0.2, 0.05 + RADIUS_M - depth_m]))
     aside_m = np.array([0.0, 0.002, 0.02, 0.04])
-    contact_m = np.sqrt(RADIUS_M * depth_m)
-    edges_m = contact_m * np.array([1.0 - 1e-9, 1.0 + 1e-9])
+    edges_m = np.sqrt(RADIUS_M * depth_m) * np.array([1.0 - 1e-9, 1.0 + 1e-9])
     moved_m = world.displaced_m(np.column_stack([0.3 + aside_m, np.full(4, 0.2)]))[:, 2]
     edge_m = world.displaced_m(np.column_stack([0.3 + edges_m, np.full(2, 0.2)]))[:, 2]
     assert moved_m[0] == pytest.approx(-depth_m)

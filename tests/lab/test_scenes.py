@@ -152,10 +152,8 @@ def test_a_ring_has_a_hole() -> None:
 
 def test_a_zigzag_runs_straight_between_its_points() -> None:
     scene = built_in("zigzag", 1)
-    rows = scene.truth()
-    border = np.abs(np.diff(rows, axis=1)).argmax(axis=1) * 5e-3  # of one crossing in each row
-    tilt = np.tan(np.deg2rad(scene.drawn["border tilt"]))
-    aside = border + tilt * 5e-3 * np.arange(len(border))
+    border = np.abs(np.diff(scene.truth(), axis=1)).argmax(axis=1) * 5e-3  # of one crossing in each row
+    aside = border + np.tan(np.deg2rad(scene.drawn["border tilt"])) * 5e-3 * np.arange(len(border))
     height, length = scene.drawn["wave height"], scene.drawn["wave length"]
     assert np.ptp(aside) == pytest.approx(2 * height, rel=0.25)
     slope = np.abs(aside[10:] - aside[:-10]) / 0.05

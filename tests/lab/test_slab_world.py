@@ -109,8 +109,7 @@ def test_it_agrees_with_quadratic_elements(tip: RigidTip, even: SlabWorld) -> No
     known = press(slab, (0.3, 0.2), tip, points, depth=0.004, finest=0.005)
     contact = even.press(tip, np.append(MIDDLE, 0.05 - 0.004 + (tip.radius or 0.0)))
     assert contact.normal_force_n == pytest.approx(known.force, rel=0.06)
-    moved = even.displaced_m(contact, points[:, :2])
-    np.testing.assert_allclose(moved, known.displaced, atol=0.02 * 0.004)
+    np.testing.assert_allclose(even.displaced_m(contact, points[:, :2]), known.displaced, atol=0.02 * 0.004)
 
 
 def test_force_is_the_slope_of_the_energy(even: SlabWorld) -> None:
@@ -134,8 +133,7 @@ def test_the_surface_lies_against_the_tip_and_nowhere_inside_it(even: SlabWorld)
     at = contact.place_m[:, :2]
     ball = contact.center_m[2] - np.sqrt(0.01**2 - ((at - MIDDLE) ** 2).sum(axis=1))
     np.testing.assert_allclose(0.05 + even.displaced_m(contact, at)[:, 2], ball, atol=1e-9)
-    patch = even.prepare(BALL, MIDDLE)
-    every = patch.candidate_m[:, :2]
+    every = even.prepare(BALL, MIDDLE).candidate_m[:, :2]
     aside = ((every - MIDDLE) ** 2).sum(axis=1)
     every, aside = every[aside < 0.01**2], aside[aside < 0.01**2]
     ball = contact.center_m[2] - np.sqrt(0.01**2 - aside)

@@ -111,8 +111,7 @@ def test_the_thesiss_rule_has_no_probability_of_its_own() -> None:
     assert maps.mapped == "beta"
     assert format_verdict(maps) == "1 region between isopleths of beta"
     assert format_claim(maps.claimed) == "the thesis's rule gives no probability"
-    share = {"1": 4e-7, "2": 0.93, "3": 0.05, "gradual": 0.02}
-    found = found_with(estimate=maps, probability=share)
+    found = found_with(estimate=maps, probability={"1": 4e-7, "2": 0.93, "3": 0.05, "gradual": 0.02})
     rule = "1 region between isopleths of beta (the thesis's rule gives no probability"
     assert found.verdict_text == f"{rule}; by stiffness 2 regions, probability 0.93)"
     assert maps_after(2).claimed == maps_after(2).probability
@@ -176,8 +175,7 @@ def test_the_peak_force_rate_of_a_touch_is_shown_with_its_interval_everywhere() 
 
 @pytest.mark.parametrize(("count", "says"), [(1, "1 region"), (2, "2 regions"), (3, "at least 3 regions")])
 def test_three_regions_may_be_more(count: int, says: str) -> None:
-    maps = dataclasses.replace(maps_after(3), region_count=count, verdict="regions")
-    assert format_verdict(maps) == says
+    assert format_verdict(dataclasses.replace(maps_after(3), region_count=count, verdict="regions")) == says
 
 
 def test_more_regions_than_the_verdicts_are_no_rival_of_at_least() -> None:

@@ -50,8 +50,7 @@ def test_verify_says_what_the_command_says(recording: Path, capsys: Capture) -> 
 def test_recover_makes_a_whole_recording(recording: Path, tmp_path: Path) -> None:
     cut = tmp_path / "cut.rrd"
     cut.write_bytes(recording.read_bytes()[: 3 * recording.stat().st_size // 4])
-    found = ds.recover(cut, tmp_path / "saved.rrd")
-    saved = ds.verify(found.found["recovered"])
+    saved = ds.verify(ds.recover(cut, tmp_path / "saved.rrd").found["recovered"])
     assert saved.ok
     assert "it was recovered" in saved.losses[0]
     with pytest.raises(ds.InputError, match="a new file"):

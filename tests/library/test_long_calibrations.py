@@ -100,8 +100,7 @@ def test_a_short_sequence_or_a_stride_of_ones_own_stays_whole(
     images: list[ImageArray], caplog: pytest.LogCaptureFixture, monkeypatch: Patch
 ) -> None:
     caplog.set_level(logging.INFO)
-    few = ds.calibrate_beta(images[:KEPT], grid=(8, 6), candidates=12)
-    assert few.estimate.settings["frames"] == KEPT
+    assert ds.calibrate_beta(images[:KEPT], grid=(8, 6), candidates=12).estimate.settings["frames"] == KEPT
     assert "frames are tracked" not in caplog.text
     monkeypatch.setattr(image_calibration, "FLOW_S_PER_PX", 1e-2)
     own = ds.calibrate_beta(images, grid=(8, 6), candidates=12, stride=2)

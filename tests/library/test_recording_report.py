@@ -97,8 +97,7 @@ def test_each_sample_has_its_figures_and_lacks_nothing(path: Path) -> None:
     assert found.lacks == []
     assert [one.title for one in found.sections] == SECTIONS[path.stem]
     for figure in found.figures():
-        image = pixels(figure.png)
-        assert image.std() > 5.0, figure.caption  # no empty picture
+        assert pixels(figure.png).std() > 5.0, figure.caption  # no empty picture
     page = found.page()
     assert page.count("<img") == len(found.figures())
     assert "It has every stage of its kind." in page

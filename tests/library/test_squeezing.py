@@ -50,8 +50,7 @@ def test_a_data_set_grows_is_opened_classified_and_names_the_next_one(tmp_path: 
     assert "4 trials, 4 containers" in str(opened)
     table = opened.table()
     assert table.modalities["tactile"].shape == (8, 72)
-    result = ds.classify(table.of(["tactile"]), splits=4, curve_splits=0)
-    save_classifier(result.model(), tmp_path / "m.npz")
+    save_classifier(ds.classify(table.of(["tactile"]), splits=4, curve_splits=0).model(), tmp_path / "m.npz")
     squeezed = ds.squeeze("lab:containers", model=tmp_path / "m.npz", seed=3)
     assert squeezed.named == "empty"  # as soft as the toy is without a content
     assert squeezed.posterior["empty"] == pytest.approx(max(squeezed.posterior.values()))

@@ -133,8 +133,7 @@ def _nearest_m(touches: int) -> FloatArray:
 
 
 def maps(touches: int, truth: bool = True) -> MapEstimate:
-    away = _nearest_m(touches)
-    log_sd = 0.7 - 0.6 * np.exp(-((away / 0.09) ** 2))
+    log_sd = 0.7 - 0.6 * np.exp(-((_nearest_m(touches) / 0.09) ** 2))
     found = touches >= 2
     edge = EDGE_M + 0.12 / touches * np.sin(13 * Y)
     labels = (edge < X).astype(np.int64) if found else np.zeros_like(TRUTH)

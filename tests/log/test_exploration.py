@@ -128,8 +128,7 @@ def test_a_reader_can_ask_for_the_numbers_of_a_touch(tmp_path: Path) -> None:
             found |= dict(zip(batch.column("touch").to_pylist(), beta, strict=True))
     assert found[1] is None  # before two touches gave one
     for k in (2, 5):
-        expected = synthetic.maps(k).beta
-        np.testing.assert_array_equal(found[k], expected.ravel())
+        np.testing.assert_array_equal(found[k], synthetic.maps(k).beta.ravel())
 
 
 def test_readings_of_devices_stand_at_their_touch_and_come_back_equal(tmp_path: Path) -> None:
@@ -161,8 +160,7 @@ def test_everything_stands_at_the_cameras_picture_and_at_its_touch(tmp_path: Pat
             recorder.write(items[at : at + 40])
         now_ns = int(pictures_ns[-1]) + 5
         recorder.write(Step((synthetic.touch(0),), moment=Moment(now_ns, 1, seen_ns, 0.005)))
-    found_again = sorted(read_items(tmp_path / "run.rrd", trust=True), key=order)
-    assert_same(found_again, sorted(items, key=order))
+    assert_same(sorted(read_items(tmp_path / "run.rrd", trust=True), key=order), sorted(items, key=order))
     where = [
         ("/wrench/fingertip", 1),  # what came after the plan belongs to the touch that was planned
         ("/display/arm/jaco/joints", 1),
@@ -205,8 +203,7 @@ def test_the_surface_has_the_shape_that_was_seen_and_the_colours_of_its_stiffnes
     vertices = np.array(cells(tmp_path / "run.rrd", path, "Mesh3D:vertex_positions")[1])
     expected = np.stack([synthetic.X, synthetic.Y, surface.height_m], axis=-1).reshape(-1, 3)
     np.testing.assert_allclose(vertices, expected, atol=1e-7)
-    triangles = np.array(cells(tmp_path / "run.rrd", path, "Mesh3D:triangle_indices")[1])
-    corners = vertices[triangles]
+    corners = vertices[np.array(cells(tmp_path / "run.rrd", path, "Mesh3D:triangle_indices")[1])]
     upwards = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2]
     assert (upwards > 0).all()
     assert 0.5 * upwards.sum() == pytest.approx(0.595 * 0.395, rel=1e-3)

@@ -68,8 +68,7 @@ def test_particles(recording: Path) -> None:
     assert len(values(recording, "/particles/lost", "LineStrips2D:strips", 2)) == 0
     assert values(recording, "/particles/legend/lost/label", "Points2D:labels", 6) == ["lost: 3"]
     assert sum(values(recording, "/particles/observed", "seen", 6)) == 151
-    radius = values(recording, "/particles/observed", "Points2D:radii", 6)[0]
-    assert 2 < radius < 6
+    assert 2 < values(recording, "/particles/observed", "Points2D:radii", 6)[0] < 6
 
 
 def test_arrows_stay_on_the_specimen(recording: Path) -> None:
@@ -91,8 +90,7 @@ def test_simulated_and_residuals(recording: Path) -> None:
     particle = np.array(values(recording, "/residual/points", "particle", 6))
     assert set(range(154)) - set(particle) == {25, 26, 80}
     np.testing.assert_allclose(np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1), residual, atol=1e-4)
-    aee = values(recording, "/error/aee", "Scalars:scalars", 6)[0]
-    assert aee == pytest.approx(residual.mean())
+    assert values(recording, "/error/aee", "Scalars:scalars", 6)[0] == pytest.approx(residual.mean())
     free = (particle >= 7) & (particle < 147)
     assert values(recording, "/error/aee_free", "Scalars:scalars", 6)[0] == pytest.approx(residual[free].mean())
 
@@ -107,8 +105,7 @@ def test_estimate(recording: Path) -> None:
     assert differing(found, expected) is None
     assert plain(found.as_json()) == plain(expected.as_json())
     png = bytes(values(recording, "/calibration/chart", "EncodedImage:blob")[0])
-    chart = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
-    assert chart.shape == (728, 1040, 3)
+    assert cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR).shape == (728, 1040, 3)
     text = values(recording, "/calibration/summary", "TextDocument:text")[0]
     assert "# beta = 0.62" in text
     assert "identified: beta is 0.56 to 0.69" in text
@@ -219,8 +216,7 @@ def test_the_heat_map_lies_over_the_body(recording: Path) -> None:
     column, row = ((observed[inner] - corner) / side).astype(int).T
     found = picture[row, column]
     assert (found[:, 3] > 150).mean() > 0.9  # over the body, but for the surroundings of three lost particles
-    end = round_up(float(error.max()))
-    expected = colors(error[inner] / end)[:, ::-1].astype(int)
+    expected = colors(error[inner] / round_up(float(error.max())))[:, ::-1].astype(int)
     shown = found[:, 3] > 150
     assert np.abs(found[shown, :3] - expected[shown]).max(axis=1).mean() < 12
     assert (picture[..., 3] == 0).mean() > 0.3  # beside the body
@@ -254,8 +250,7 @@ def test_a_volume_is_covered_by_its_skin(tmp_path: Path) -> None:
     triangles = np.array(values(path, "/heat/map", "Mesh3D:triangle_indices", 0))
     assert triangles.max() < len(place)
     assert np.unique(triangles).size == 9 * 9 + 9 * 9 + 32  # two faces, and the rim of the layer between
-    labels = values(path, "/heat/legend/label", "Points3D:labels", 0)
-    assert labels == ["0 mm", "2.5 mm", "5 mm"]
+    assert values(path, "/heat/legend/label", "Points3D:labels", 0) == ["0 mm", "2.5 mm", "5 mm"]
     first = values(path, "/heat/worst", "LineStrips3D:strips", 0)[0][0]
     np.testing.assert_allclose(first, place[np.argmax(error)], atol=1e-7)
 

@@ -342,8 +342,7 @@ def test_the_arm_moves_as_its_joints_do(tmp_path: Path) -> None:
         turned, ((0, 0, 1), (0, 1, 0), (0, 1, 0)), (370.0, -90.0, np.rad2deg(0.6)), strict=True
     ):
         half = np.deg2rad(angle) / 2
-        expected = np.array([*np.sin(half) * np.array(axis), np.cos(half)])
-        assert abs(abs(found @ expected) - 1) < 1e-6
+        assert abs(abs(found @ np.array([*np.sin(half) * np.array(axis), np.cos(half)])) - 1) < 1e-6
 
 
 def test_an_arm_that_is_not_the_one_described_is_recorded(tmp_path: Path) -> None:
@@ -417,8 +416,7 @@ def test_names_of_a_hand_are_apart_in_a_narrow_view() -> None:
         boxes.setdefault(y, []).append((middle - half, middle + half))
         assert middle - half >= 0.0
     for line in boxes.values():
-        ends = sorted(line)
-        assert all(one[1] < other[0] for one, other in itertools.pairwise(ends))
+        assert all(one[1] < other[0] for one, other in itertools.pairwise(sorted(line)))
     first = min(left for _, left in hand.corners) * hand.texel_mm[0]
     pads_px = (first - left) / (right - left) * 270.0
     assert all(end <= pads_px + 1.0 for y, line in boxes.items() for _, end in line if len(line) == 1)

@@ -119,15 +119,13 @@ def test_a_plot_of_contents_is_there_where_a_model_names_them(named: bool) -> No
 
 
 def test_the_views_are_one_window_with_the_devices_behind() -> None:
-    views = squeeze_blueprint([STREAM], "pads", "")
-    assert isinstance(views, rr.blueprint.Blueprint)
+    assert isinstance(squeeze_blueprint([STREAM], "pads", ""), rr.blueprint.Blueprint)
 
 
 def test_a_depth_change_is_drawn_on_one_scale() -> None:
     import cv2
 
-    png = np.frombuffer(depth_change_png(CHANGE, 0.11, 0.14), np.uint8)
-    picture = cv2.imdecode(png, cv2.IMREAD_COLOR)
+    picture = cv2.imdecode(np.frombuffer(depth_change_png(CHANGE, 0.11, 0.14), np.uint8), cv2.IMREAD_COLOR)
     dent, missing = picture[3, 9], picture[3, 3]  # blue, green, red
     assert dent[2] > dent[0]
     assert len(set(map(int, missing))) > 1 or int(missing[0]) < 120

@@ -133,8 +133,7 @@ def test_every_result_comes_back_at_its_frame(tmp_path: Path) -> None:
 
 def test_the_center_of_pressure_is_drawn_on_its_texel(tmp_path: Path) -> None:
     rows = written(tmp_path / "r.rrd", results())["/display/tactile/pads/contact"]
-    hand = Hand.of(PADS)
-    top, left = hand.corners[0]
+    top, left = Hand.of(PADS).corners[0]
     assert rows[0]["Points2D:positions"] == [pytest.approx([(left + 1.5) * 3.4, (top + 2.5) * 2.0])]
     assert rows[0]["Points2D:labels"] == ["0.01 N, 0.1 cm2"]
     assert rows[1]["Points2D:positions"] == []  # nothing is touched: the mark goes

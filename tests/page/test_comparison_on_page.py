@@ -82,8 +82,7 @@ def test_two_recordings_are_played_from_their_first_contact_on(tmp_path: Path) -
     page, contacts_s = align_on_page(Replay(first), Replay(second))
     with closing(page):
         assert contacts_s == pytest.approx((1.54, 3.54), abs=0.03)
-        content = get(page, root(page) + "recording.rrd")[1]
-        assert content.startswith(b"RRF2")
+        assert get(page, root(page) + "recording.rrd")[1].startswith(b"RRF2")
         with page_script(page, "a") as one:
             playback = one.state["playback"]
             assert playback["timeline"] == "contact"

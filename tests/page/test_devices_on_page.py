@@ -47,8 +47,7 @@ class Watched:
             self.index += 10
 
     def drift(self) -> DriftState | None:
-        health = Health(Link.CONNECTED, age_s=0.01, jitter_s=0.002)
-        self.recorder.write([HealthReport(0, (("tip", health),))])
+        self.recorder.write([HealthReport(0, (("tip", Health(Link.CONNECTED, age_s=0.01, jitter_s=0.002)),))])
         (shown,) = self.session.state.devices
         assert shown.jitter_s == 0.002
         return shown.drift

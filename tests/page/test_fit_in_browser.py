@@ -188,8 +188,7 @@ def test_a_slider_is_seen_within_300_ms(
 
     config = BetaConfig(("sample:tension",), images=ImageOptions(grid=grid, roi=(150, 0, 100, 330)))
     with PageServer("tension", adjusting=True) as page:
-        began = FitState("images", "beta", FitSettings())
-        fitting = FitProcess(config, began, page, changed).start()
+        fitting = FitProcess(config, FitState("images", "beta", FitSettings()), page, changed).start()
         page.session.bind(fitting)
         shown = browser.new_page(viewport={"width": 1280, "height": 800})
         shown.goto(page.address)

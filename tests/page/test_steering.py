@@ -284,8 +284,7 @@ def test_who_is_pushed_away_may_go_whoever_watches() -> None:
     """A force above the soft stop: the arm backs off although the page is gone."""
     scene = make_scene(3, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
     robot = scene.robot
-    verdict = robot.supervisor.verdict
-    robot.supervisor._verdict = type(verdict)(Action.BACK_OFF, Fault.FORCE_SOFT, "9 N", 0)
+    robot.supervisor._verdict = type(robot.supervisor.verdict)(Action.BACK_OFF, Fault.FORCE_SOFT, "9 N", 0)
     robot.reason_to_stand = lambda: "nobody is there"
     robot.cycle(TipVelocity(np.array([0.0, 0.0, SPEED_M_S])))
     scene.lab.close()

@@ -26,8 +26,7 @@ def poked(depth: float = 0.002, at: tuple[float, float] = (0.2, 0.15)) -> Compar
 
 
 def test_a_volume_is_shown_whole() -> None:
-    pair = synthetic.pair_in_space()
-    shown = close_up(pair)
+    shown = close_up(synthetic.pair_in_space())
     assert not shown.surface
     assert shown.heights == 1.0
     np.testing.assert_allclose(shown.low[:2], 0.0)

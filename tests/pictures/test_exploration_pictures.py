@@ -142,12 +142,10 @@ def test_cells_that_may_not_be_touched_are_grey_and_the_target_red() -> None:
     plan = synthetic.plan(3)
     image = decoded(pictures.gain_png(plan, synthetic.CELL_M, synthetic.CONTACTS_M[:3]))
     free = dataclasses.replace(plan, excluded=np.zeros_like(plan.excluded))
-    grey = share_of(pictures.EXCLUDED, image)
-    assert grey > 0.02
+    assert share_of(pictures.EXCLUDED, image) > 0.02
     assert share_of(pictures.EXCLUDED, decoded(pictures.gain_png(free, synthetic.CELL_M))) < 0.001
     assert share_of(pictures.TARGET, image) > 0.0005
-    stopped = decoded(pictures.gain_png(synthetic.plan(8), synthetic.CELL_M))
-    assert share_of(pictures.TARGET, stopped) == 0.0
+    assert share_of(pictures.TARGET, decoded(pictures.gain_png(synthetic.plan(8), synthetic.CELL_M))) == 0.0
 
 
 def test_every_picture_is_drawn_whatever_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -65,8 +65,7 @@ def test_each_kind_of_body(name: str) -> None:
     comparison = CASES[name]
     image = np.tile(np.arange(400, dtype=np.uint8), (330, 1)) if name == "pixels" else None
     result = Result(estimate(comparison.unit), (comparison,), ("a.npz",), image)
-    whole = decoded(results_png([result]))
-    assert whole.shape[1] == 1870
+    assert decoded(results_png([result])).shape[1] == 1870
     exact = dataclasses.replace(comparison, simulated=np.where(comparison.seen[:, None], comparison.observed, 0.0))
     perfect = dataclasses.replace(result, comparisons=(exact,))
     for draw in (particles_png, errors_png):

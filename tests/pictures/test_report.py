@@ -56,8 +56,7 @@ def test_every_text_is_escaped_and_nothing_is_fetched() -> None:
         (Figure(png, EVIL), Figure(png, "second")),
         Code(EVIL),
     ]
-    text = html_report(EVIL, [Section(EVIL, parts), Section("", ["words"])])
-    page = Page(text)
+    page = Page(html_report(EVIL, [Section(EVIL, parts), Section("", ["words"])]))
     page.assert_self_contained()
     assert page.words.count(EVIL) == 14
     assert sum(name == "alt" and value == EVIL for name, value in page.attributes) == 2

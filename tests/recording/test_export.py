@@ -187,8 +187,7 @@ def _check_npz(path: Path, table: pa.Table) -> None:
     for name in table.schema.names:
         values = table.column(name).to_pylist()
         if f"{name}_offsets" in read:
-            ends = read[f"{name}_offsets"]
-            own = [read[name][first:last] for first, last in itertools.pairwise(ends)]
+            own = [read[name][first:last] for first, last in itertools.pairwise(read[f"{name}_offsets"])]
             for one, value in zip(own, values, strict=True):
                 if isinstance(value, str | bytes):
                     assert one.tobytes() == (value.encode() if isinstance(value, str) else value)
@@ -422,8 +421,7 @@ def test_an_export_that_fails_leaves_nothing(to: str, tmp_path: Path, capfd: Cap
     cut = tmp_path / "cut.rrd"
     cut.write_bytes(BENCH.read_bytes()[: BENCH.stat().st_size * 2 // 3])
     assert main(["export", str(cut), "--to", to, "--out", str(tmp_path / "out")]) == 2
-    error = capfd.readouterr().err
-    assert "got one that is truncated or damaged | try: deformscope recover cut.rrd" in error
+    assert "got one that is truncated or damaged | try: deformscope recover cut.rrd" in capfd.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["cut.rrd"]
 
 
@@ -646,8 +644,7 @@ def test_memory_does_not_grow_with_the_recording(tmp_path: Path) -> None:
         used = []
         for path in paths:
             command = [sys.executable, "-c", LONG, str(path), to, str(tmp_path / f"{to}-{path.stem}")]
-            done = subprocess.run(command, capture_output=True, text=True, check=True)
-            used.append(float(done.stdout))
+            used.append(float(subprocess.run(command, capture_output=True, text=True, check=True).stdout))
         assert used[1] < used[0] + 60.0, (to, used)
 
 

@@ -89,8 +89,7 @@ def kill(folder: Path, after_s: float) -> Loss:
 
 
 def test_killed_while_it_records(tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    lost = kill(tmp_path / "0", rng.uniform(0.0, 1.5))
+    lost = kill(tmp_path / "0", np.random.default_rng(0).uniform(0.0, 1.5))
     assert lost.readings >= 0
     # a reading a millisecond by the double's own counter; what is on its way when the process dies is some
     assert lost.readings == pytest.approx(1e3 * lost.seconds, abs=50)

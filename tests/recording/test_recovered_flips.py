@@ -136,8 +136,7 @@ def test_damage_is_named_and_stays_with_what_is_recovered(killed: Path, capsys: 
 @pytest.mark.usefixtures("quicker")
 def test_the_ledger_of_another_file(killed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "other").mkdir()
-    other = interrupt(tmp_path / "other", 1)
-    shutil.copy(ledger_path(other), ledger_path(killed))
+    shutil.copy(ledger_path(interrupt(tmp_path / "other", 1)), ledger_path(killed))
     status, found, said = recover(killed, capsys)
     assert status == 3
     assert found["missing"] == {}

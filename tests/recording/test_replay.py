@@ -139,8 +139,7 @@ def test_steps_wait(tmp_path: Path) -> None:
 
 
 def test_real_pace_takes_the_recorded_time(tmp_path: Path) -> None:
-    path = record(tmp_path / "run.rrd", list(synthetic.frames(4)))
-    frames = Replay(path).frames("real")
+    frames = Replay(record(tmp_path / "run.rrd", list(synthetic.frames(4)))).frames("real")
     started = time.monotonic()  # before the first is given: a busy machine must not take from the others' time
     next(frames)
     assert len(list(frames)) == 3

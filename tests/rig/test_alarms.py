@@ -41,8 +41,7 @@ def noise(seconds: float, sigma: float, rate_hz: float = 100.0, seed: int = 1000
 def test_one_dead_axis_is_named_when_it_dies_and_when_it_lives_again() -> None:
     counts = noise(10.0, 3.0)
     counts[300:700, 1] = 12
-    alarms = SensorAlarms([TIP], AFTER_S)
-    found = said(alarms, wrenches(counts))
+    found = said(SensorAlarms([TIP], AFTER_S), wrenches(counts))
     assert [(about, text) for about, text, _ in found] == [
         ("alarm", "tip: stuck at the same count: fy"),
         ("alarm-over", "tip: stuck at the same count: fy"),

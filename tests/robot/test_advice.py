@@ -37,8 +37,7 @@ def test_who_is_told_of_a_stop_in_contact_is_told_how_hard_the_tip_presses(fault
     if fault is Fault.FORCE_SILENT:
         assert "may press with an unknown force" in words
         return
-    told_n = float(words.split("presses with ")[1].split(" N")[0])
-    assert told_n == pytest.approx(pressed_n, abs=0.15)
+    assert float(words.split("presses with ")[1].split(" N")[0]) == pytest.approx(pressed_n, abs=0.15)
 
 
 def test_a_stop_in_free_air_says_nothing_of_a_press() -> None:

@@ -17,8 +17,7 @@ PERIOD_NS = 10_000_000
 
 
 def test_distances_of_segments_are_those_of_dense_points() -> None:
-    random = np.random.default_rng(2)
-    a, b, c, d = random.normal(size=(4, 200, 3))
+    a, b, c, d = np.random.default_rng(2).normal(size=(4, 200, 3))
     b[:20], d[10:30] = a[:20], c[10:30]  # points among them
     share = np.linspace(0.0, 1.0, 201)[:, None, None]
     one, other = a + share * (b - a), c + share * (d - c)

@@ -174,8 +174,7 @@ def test_motion_in_free_air_is_no_collision(cycles: int) -> None:
     wanted = rate
     for number in range(cycles):
         if random.random() < 0.01:
-            speed = random.choice([0.0, 0.05, 0.5, 5.0])
-            wanted = speed * random.uniform(-1.0, 1.0, 6)
+            wanted = random.choice([0.0, 0.05, 0.5, 5.0]) * random.uniform(-1.0, 1.0, 6)
         rate = rate + np.clip(wanted - rate, -2.0, 2.0)
         rates_deg_s[number] = rate
     assert watched(rates_deg_s, np.zeros((cycles, 6)), 0.0, 3) == []

@@ -25,8 +25,7 @@ def way_m(jog: Jog, presses: dict[float, str], seconds: float = 4.0) -> np.ndarr
 def test_a_press_moves_one_step(step: str, step_m: float) -> None:
     for key, (axis, sign) in MOVES.items():
         gone = way_m(Jog(), {0.0: step, 1.0: key})
-        moved = np.flatnonzero(gone)
-        assert moved.tolist() == [axis]
+        assert np.flatnonzero(gone).tolist() == [axis]
         assert np.sign(gone[axis]) == sign
         if axis < 3:
             assert abs(gone[axis]) == pytest.approx(step_m, abs=2.5e-4)

@@ -164,8 +164,7 @@ def test_vertices_out_of_reach_are_refused(tmp_path: Path, vertex: str) -> None:
 
 def test_a_container_s_mesh_is_read_so_too(tmp_path: Path) -> None:
     path = written(tmp_path / "cube.obj")
-    made = container_model(ContainerSection(shape="mesh", mesh=str(path)))
-    np.testing.assert_allclose(made.size_m, 10.0)
+    np.testing.assert_allclose(container_model(ContainerSection(shape="mesh", mesh=str(path))).size_m, 10.0)
     path.write_bytes(b"\0" * 100)
     with pytest.raises(InputError, match=r"a mesh.*cube\.obj"):
         container_model(ContainerSection(shape="mesh", mesh=str(path)))

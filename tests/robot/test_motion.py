@@ -249,8 +249,7 @@ def test_a_tip_sent_towards_a_joints_limit_stops_at_its_margin() -> None:
         start_deg=np.array([260.0, 200.0, 51.0, 340.0, 65.0, -28.0]), limits=replace(FREE_BOX, joint_margin_deg=20.0)
     )
     assert bench.until_stopped(JointRates(np.array([0.0, 0.0, -12.0, 0.0, 0.0, 0.0]))) is Fault.JOINT_LIMIT
-    left_deg = J2N6S300.to_limits_deg(bench.lab.arm_double.joints_deg).min()
-    assert 20.0 < left_deg < 21.0
+    assert 20.0 < J2N6S300.to_limits_deg(bench.lab.arm_double.joints_deg).min() < 21.0
     bench.lab.close()
 
 
@@ -297,5 +296,4 @@ def test_what_leads_into_a_singularity_slows_down_within_15_degrees_of_it(fifth_
     assert motion.fault is Fault.NONE
     assert motion.share == pytest.approx(min(1.0, max(1 / 3, left_deg / 15.0)), rel=1e-3)
     np.testing.assert_allclose(motion.rates_deg_s, 5.0 * motion.share * towards, atol=0.05)
-    away = rates_for_twist(chain, joints, -twist, np.full(6, 100.0), 5.0)
-    assert away.share == 1.0
+    assert rates_for_twist(chain, joints, -twist, np.full(6, 100.0), 5.0).share == 1.0

@@ -19,8 +19,7 @@ def test_both_fingertips_touch_the_container_upright(width_m: float) -> None:
     assert tips[0, 0] - PAD_M == pytest.approx(width_m / 2, abs=1e-6)
     assert tips[2, 0] + PAD_M == pytest.approx(-width_m / 2, abs=1e-6)
     assert shape.contact_deg[1] + shape.contact_deg[2] == pytest.approx(0.0)
-    opened = fingertips(shape.open_deg)
-    assert opened[0, 0] - tips[0, 0] > 0.02
+    assert fingertips(shape.open_deg)[0, 0] - tips[0, 0] > 0.02
 
 
 def test_a_given_distal_angle_is_kept() -> None:

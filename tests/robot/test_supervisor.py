@@ -224,8 +224,7 @@ def test_a_joint_on_its_way_to_its_limit(left_deg: float, rate_deg_s: float, fau
     for k in range(1, 6):
         joints_deg = J2N6S300.home_deg.copy()
         joints_deg[2] = J2N6S300.lower_deg[2] + left_deg + 0.01 * (k - 5) * rate_deg_s
-        sample = ArmSample(k * PERIOD, np.eye(4), tuple(joints_deg))
-        verdict = judged(supervisor, k * PERIOD, arms=(sample,))
+        verdict = judged(supervisor, k * PERIOD, arms=(ArmSample(k * PERIOD, np.eye(4), tuple(joints_deg)),))
     assert verdict.fault is fault
     assert fault is Fault.NONE or "joint 3" in verdict.reason
 
@@ -243,8 +242,7 @@ def test_the_box_may_be_entered_and_not_left() -> None:
 def test_the_tip_is_what_has_to_stay_in_the_box() -> None:
     reaches = np.eye(4)
     reaches[0, 3] = 0.2
-    limits = Limits(low_m=(-1.0, -1.0, -1.0), high_m=(0.1, 1.0, 1.0))
-    supervisor = Supervisor(limits, 0, reaches)
+    supervisor = Supervisor(Limits(low_m=(-1.0, -1.0, -1.0), high_m=(0.1, 1.0, 1.0)), 0, reaches)
     assert judged(supervisor, PERIOD).fault is Fault.WORKSPACE
 
 

@@ -291,8 +291,7 @@ def test_a_way_that_the_arm_cannot_be_led_is_refused_before_it_moves() -> None:
 
 def test_a_first_way_that_leads_below_the_surface_is_refused() -> None:
     scene = make_scene(6, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
-    double = scene.lab.arm_double
-    turned_deg = np.array(double.joints_deg) + np.array([0.0, 0.0, 0.0, 0.0, 90.0, 0.0])
+    turned_deg = np.array(scene.lab.arm_double.joints_deg) + np.array([0.0, 0.0, 0.0, 0.0, 90.0, 0.0])
     scene.robot._pose = dataclasses.replace(
         scene.robot.pose, joints_deg=tuple(turned_deg), T_base_ee=scene.robot.arm.chain.forward(turned_deg)[-1]
     )
@@ -305,5 +304,4 @@ def test_a_first_way_that_leads_below_the_surface_is_refused() -> None:
 
 
 def _first_ways(scene: FaultScene, height_m: float) -> list[Check]:
-    goal_deg = np.array(scene.lab.arm_double.joints_deg)
-    return [_first_way(scene.robot, goal_deg, height_m)]
+    return [_first_way(scene.robot, np.array(scene.lab.arm_double.joints_deg), height_m)]

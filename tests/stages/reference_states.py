@@ -163,8 +163,7 @@ def step(
     push = np.zeros(x.shape[1]) if acceleration is None else np.asarray(acceleration, dtype=np.float64)
     x_star = x + (v + push * dt) * dt  # eq. 3.1, 3.2
     x_star[rest.held] = held_position
-    goal = goals(x_star, rest, beta, theta, volume=volume)
-    x_new = x_star + alpha * (goal - x_star)  # eq. 3.11
+    x_new = x_star + alpha * (goals(x_star, rest, beta, theta, volume=volume) - x_star)  # eq. 3.11
     return x_new, (x_new - x) / dt  # eq. 3.12
 
 
@@ -217,7 +216,6 @@ def fixed_point(
         new = states[-1] + f
         if len(states) > 1:
             dx, df = np.diff(states, axis=0).T, np.diff(residuals, axis=0).T
-            gamma = np.linalg.lstsq(df, f, rcond=1e-12)[0]
-            new = new - (dx + df) @ gamma
+            new = new - (dx + df) @ np.linalg.lstsq(df, f, rcond=1e-12)[0]
         x[free] = new.reshape(-1, x.shape[1])
     return x, worst

@@ -33,8 +33,7 @@ def test_intervals_hold_truths_at_their_level(condition: int) -> None:
 @pytest.mark.parametrize("condition", range(len(CONDITIONS)), ids=[one.name for one in CONDITIONS])
 def test_coverage_of_many_is_close_to_the_level(condition: int) -> None:
     outcomes = [random_bodies.try_object(Case(condition, "prior", number, seed=6)) for number in range(400)]
-    found = rate_of(outcomes)
-    assert 0.87 - 2.0 * 0.015 <= found.rate <= 0.93 + 2.0 * 0.015
+    assert 0.87 - 2.0 * 0.015 <= rate_of(outcomes).rate <= 0.93 + 2.0 * 0.015
     assert sum(one.confident_wrong for one in outcomes) <= 4
 
 

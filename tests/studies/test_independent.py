@@ -14,8 +14,7 @@ from studies.random_bodies import random_body
 
 @pytest.mark.parametrize("number", range(4))
 def test_both_shape_matching_solvers_find_the_same_state(number: int) -> None:
-    rng = np.random.default_rng(number)
-    body = random_body(rng, 2 + number % 2)
+    body = random_body(np.random.default_rng(number), 2 + number % 2)
     rows = shape_matching.windows(body.shape, body.cluster_size)
     for beta in (0.0, 0.5, 0.98):
         own = shape_matching.static_state(body.rest, rows, beta, body.held, body.held_position)

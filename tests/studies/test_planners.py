@@ -49,8 +49,7 @@ def test_variance_is_that_of_another_gaussian_process() -> None:
 
 def test_maximum_variance_takes_the_largest_of_what_may_be_touched() -> None:
     _, variance = variance_of(planned(), so_far(TOUCHED_M), FieldKernel())
-    chosen = MaximumVariance()(planned(), so_far(TOUCHED_M))
-    np.testing.assert_allclose(chosen, PLACES_M[np.argmax(variance)])
+    np.testing.assert_allclose(MaximumVariance()(planned(), so_far(TOUCHED_M)), PLACES_M[np.argmax(variance)])
     excluded = variance == variance.max()
     other = MaximumVariance()(planned(excluded), so_far(TOUCHED_M))
     np.testing.assert_allclose(other, PLACES_M[np.argmax(np.where(excluded, 0.0, variance))])

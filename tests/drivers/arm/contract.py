@@ -111,8 +111,7 @@ class ArmContract:
         stands = bench.true_pose()
         bench.advance(1.0)
         np.testing.assert_array_equal(bench.true_pose(), stands)
-        turned_deg = np.abs(self.states(bench, 0.1)[-1].rates_deg_s)
-        assert turned_deg.max() < 1e-6
+        assert np.abs(self.states(bench, 0.1)[-1].rates_deg_s).max() < 1e-6
 
     def test_stop_stops_and_the_next_command_moves(self, bench: ArmBench, arm: Arm[Any]) -> None:
         arm.set_velocity(self.rates(arm), 10.0)

@@ -123,8 +123,7 @@ def test_nobody_fetches_for_long_and_the_oldest_are_lost() -> None:
     camera = on_simulated_clock(EXACT, lambda time_s: flat(1.0 + time_s)).open(own_thread=False)
     camera.poll()
     camera._clock.advance_to(10 * PERIOD_NS)
-    pictures = camera.poll()
-    assert [picture.stamp.device_ticks // 33_333 for picture in pictures] == [7, 8, 9, 10]
+    assert [picture.stamp.device_ticks // 33_333 for picture in camera.poll()] == [7, 8, 9, 10]
     assert camera.health().lost == 6
     camera.close()
 

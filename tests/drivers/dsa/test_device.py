@@ -158,8 +158,7 @@ def test_geometry_that_cannot_be_is_refused() -> None:
 
 
 def test_other_sensors_than_the_sdhs() -> None:
-    matrices = DsaDouble().matrices[:2]
-    desk = Desk(DsaDouble(matrices=matrices), sensitivity=(0.5, 0.25))
+    desk = Desk(DsaDouble(matrices=DsaDouble().matrices[:2]), sensitivity=(0.5, 0.25))
     with desk:
         (reading, *_) = desk.run(0.2)
     assert [pad.shape for pad in reading.pads] == [(14, 6), (13, 6)]
@@ -202,16 +201,14 @@ def test_real_rates(rle: bool, slowest: float, fastest: float) -> None:
     desk = Desk(rle=rle)
     with desk as device:
         desk.run(0.5)
-        readings = desk.run(6.0)
-        assert slowest <= len(readings) / 6 <= fastest
+        assert slowest <= len(desk.run(6.0)) / 6 <= fastest
         assert device.health().skipped_bytes == 0
 
 
 def test_stamps_carry_the_controllers_clock_beyond_its_32_bits() -> None:
     desk = Desk(DsaDouble(first_timestamp_ms=2**32 - 500))
     with desk as device:
-        readings = desk.run(4.0)
-        ticks = [reading.stamp.device_ticks for reading in readings]
+        ticks = [reading.stamp.device_ticks for reading in desk.run(4.0)]
         assert ticks[0] < 2**32 < ticks[-1]
         assert 1 <= min(np.diff(ticks)) <= max(np.diff(ticks)) < 100
         assert device.health().refused == {}
@@ -233,8 +230,7 @@ class Wire(MemoryTransport):
 def slipped(*timestamps_ms: int) -> tuple[Dsa, list]:
     """The readings that come of frames with those times."""
     clock = SimulatedClock()
-    double = DsaDouble(matrices=[replace(DsaDouble().matrices[0], cells_x=2, cells_y=1)])
-    wire = Wire(double, clock)
+    wire = Wire(DsaDouble(matrices=[replace(DsaDouble().matrices[0], cells_x=2, cells_y=1)]), clock)
     device = Dsa(DsaConfig(streaming=False), transport=wire, clock=clock).open(own_thread=False)
     readings = []
     for timestamp_ms in timestamps_ms:

@@ -28,8 +28,7 @@ def test_schunks_scale() -> None:
 
 
 def test_a_scale_for_each_matrix() -> None:
-    pads = [np.full((2, 2), 10, np.uint16), np.full((3, 2), 10, np.uint16)]
-    first, second = to_pressure(pads, (2.0, 3.0))
+    first, second = to_pressure([np.full((2, 2), 10, np.uint16), np.full((3, 2), 10, np.uint16)], (2.0, 3.0))
     assert (first == 20.0).all()
     assert (second == 30.0).all()
     assert second.shape == (3, 2)
@@ -70,8 +69,7 @@ def test_force_is_the_sum_of_pressure_times_area_counted_once() -> None:
 
 
 def test_uniform_pressure_is_force_over_area() -> None:
-    counts = np.full((13, 6), 50, np.uint16)
-    contact = pad_contact(counts, np.full((13, 6), 2000.0), MATRIX)
+    contact = pad_contact(np.full((13, 6), 50, np.uint16), np.full((13, 6), 2000.0), MATRIX)
     assert contact.force_n / contact.area_m2 == pytest.approx(2000.0)
     assert contact.center_m == pytest.approx((0.0, 0.0), abs=1e-12)
 

@@ -135,8 +135,7 @@ class TestOverThePythonDouble(DeviceContract):
     @pytest.fixture
     def bench(self) -> Bench:
         double = JacoDouble()
-        device = Jaco(PATIENT, double, reconnect=QUICK)
-        return Bench(device, double.unplug, double.plug)
+        return Bench(Jaco(PATIENT, double, reconnect=QUICK), double.unplug, double.plug)
 
 
 class TestOverTheCDouble(DeviceContract):
@@ -216,8 +215,7 @@ def test_an_angular_velocity_held_for_1_s_moves_the_double_by_the_right_angle(
 def test_a_cartesian_velocity_held_for_1_s_moves_the_double_by_the_right_length(simulated: Jaco) -> None:
     before = simulated.next(1.0)
     hold(simulated, CartesianVelocity((0.03, -0.02, 0.01), (0.0, 0.0, 0.1)), 1.0)
-    after = simulated.next(1.0)
-    moved_m = np.array(after.position_m) - np.array(before.position_m)
+    moved_m = np.array(simulated.next(1.0).position_m) - np.array(before.position_m)
     np.testing.assert_allclose(moved_m, (0.03, -0.02, 0.01), atol=0.04 * PERIOD_S)
 
 
@@ -951,8 +949,7 @@ def test_fingers_beyond_their_range_are_refused(lab: Simulated, fingers: tuple[f
 def test_it_moves_to_joint_angles_and_waits_until_it_is_there(lab: Simulated) -> None:
     target = J2N6S300.home_deg + np.array([10.0, -5.0, 8.0, 3.0, -10.0, 4.0])
     began_s = lab.now_s
-    state = lab.arm.move_to(JointTarget(tuple(target)))
-    np.testing.assert_allclose(state.joints_deg, target, atol=0.5)
+    np.testing.assert_allclose(lab.arm.move_to(JointTarget(tuple(target))).joints_deg, target, atol=0.5)
     assert 0.4 < lab.now_s - began_s < 1.0  # 10 deg at 20 deg/s
     assert "SetAngularControl" in lab.recorded.names
 
@@ -1085,8 +1082,7 @@ def test_the_arm_does_not_sink_however_often_its_fingers_move(lab: Simulated) ->
 
 def test_it_goes_home(lab: Simulated) -> None:
     hold(lab.arm, JointVelocity((20.0, 10.0, 0.0, 0.0, -20.0, 0.0)), 1.0)
-    state = lab.arm.home()
-    np.testing.assert_allclose(state.joints_deg, J2N6S300.home_deg, atol=0.1)
+    np.testing.assert_allclose(lab.arm.home().joints_deg, J2N6S300.home_deg, atol=0.1)
 
 
 def test_the_rates_reported_are_those_of_the_joints_and_zero_at_rest(simulated: Jaco) -> None:

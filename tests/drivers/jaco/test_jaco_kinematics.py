@@ -46,8 +46,7 @@ def test_six_joints_agree_with_the_dh_table() -> None:
     for joints_deg in random_joints(J2N6S300, 500):
         ours, theirs = J2N6S300.end_effector(joints_deg), dh_end_effector(joints_deg)
         assert np.linalg.norm(ours[:3, 3] - theirs[:3, 3]) < 1e-4  # the two published tables differ by 0.08 mm
-        turned = Rotation.from_matrix(ours[:3, :3].T @ theirs[:3, :3]).magnitude()
-        assert np.degrees(turned) < 1e-3
+        assert np.degrees(Rotation.from_matrix(ours[:3, :3].T @ theirs[:3, :3]).magnitude()) < 1e-3
 
 
 def test_home_of_six_joints_is_where_the_reference_says() -> None:
@@ -79,8 +78,7 @@ def test_the_candle_pose_is_as_high_as_its_links() -> None:
     spherical = J2S7S300.forward([180.0] * 7)
     np.testing.assert_allclose(spherical[-1, :3, 3], (0.0, 0.0, forearm_m + 2 * 0.10375 + 0.16), atol=0.015)
     assert spherical[-1, 2, 3] == pytest.approx(forearm_m + 2 * 0.10375 + 0.16, abs=1e-4)
-    curved = J2N6S300.forward([180.0] * 6)
-    assert curved[3, 2, 3] == pytest.approx(forearm_m, abs=1e-4)
+    assert J2N6S300.forward([180.0] * 6)[3, 2, 3] == pytest.approx(forearm_m, abs=1e-4)
 
 
 def test_links_are_rigid_and_the_last_is_the_end_effector(chain: Chain) -> None:
@@ -136,8 +134,7 @@ def test_inverse_finds_what_is_in_reach(chain: Chain) -> None:
 
 def test_inverse_stays_near_where_it_starts(chain: Chain) -> None:
     start_deg = chain.home_deg
-    target = chain.end_effector(start_deg + 2.0)
-    found = chain.inverse(target, start_deg)
+    found = chain.inverse(chain.end_effector(start_deg + 2.0), start_deg)
     assert found.converged
     assert found.starts == 1
     assert np.max(np.abs(found.joints_deg - start_deg)) < 15.0
@@ -198,8 +195,7 @@ def test_rotation_vectors_agree_with_scipy_from_nothing_to_half_a_turn() -> None
         axis = rng.normal(size=3)
         rotation = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)).as_matrix()
         found = kinematics.rotation_vector(rotation)
-        again = Rotation.from_rotvec(found).as_matrix()
-        np.testing.assert_allclose(again, rotation, atol=1e-7)
+        np.testing.assert_allclose(Rotation.from_rotvec(found).as_matrix(), rotation, atol=1e-7)
         assert np.linalg.norm(found) == pytest.approx(angle, abs=1e-7)
 
 
@@ -207,6 +203,5 @@ def test_damped_rates_meet_the_twist_away_from_singularities_and_stay_bounded_in
     twist = np.array([0.05, 0.0, 0.02, 0.0, 0.1, 0.0])
     jacobian = chain.jacobian(chain.home_deg)
     np.testing.assert_allclose(jacobian @ kinematics.damped_joint_rates(jacobian, twist), twist, atol=1e-9)
-    candle = chain.jacobian([180.0] * chain.joint_count)
-    rates = kinematics.damped_joint_rates(candle, twist)
+    rates = kinematics.damped_joint_rates(chain.jacobian([180.0] * chain.joint_count), twist)
     assert np.all(np.abs(rates) < np.linalg.norm(twist) / 0.02)

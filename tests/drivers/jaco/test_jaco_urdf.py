@@ -130,8 +130,7 @@ def test_inertias_are_those_a_body_can_have(robot: ET.Element) -> None:
 
 
 def test_rerun_loads_it_and_moves_its_joints(model: str, chain: Chain) -> None:
-    rr = pytest.importorskip("rerun")
-    tree = rr.urdf.UrdfTree.from_file_path(urdf_path(model))
+    tree = pytest.importorskip("rerun").urdf.UrdfTree.from_file_path(urdf_path(model))
     names = [joint.name for joint in tree.joints()]
     assert names[: chain.joint_count] == [f"{model}_joint_{i}" for i in range(1, chain.joint_count + 1)]
     assert tree.root_link().name == f"{model}_link_base"

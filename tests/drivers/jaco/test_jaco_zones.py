@@ -97,8 +97,7 @@ def another_shape(zones: ZoneList) -> None:
     ],
 )
 def test_zones_are_the_same_by_what_they_keep_the_hand_out_of(change: Callable[[ZoneList], None], same: bool) -> None:
-    double = JacoDouble("j2n6s300", SimulatedClock())
-    functions = Counted(double)
+    functions = Counted(JacoDouble("j2n6s300", SimulatedClock()))
     call(functions, "InitAPI")
     kept = zone_list(BOXES)
     change(kept)

@@ -57,8 +57,7 @@ def test_they_say_what_the_driver_needs(cycle_s: float) -> None:
     for axis in range(1, 7):
         assert float(parameters[f"LIMIT{axis}", "UpperLimit"]) == pytest.approx(15.0 * cycle_s)
         assert float(parameters[f"LIMIT{axis}", "LowerLimit"]) == pytest.approx(-15.0 * cycle_s)
-    timeout = int(parameters["ETHERNET1", "Timeout"])
-    assert PROBE_LEFT_OUT < timeout == round(TIMEOUT_S / cycle_s)
+    assert PROBE_LEFT_OUT < int(parameters["ETHERNET1", "Timeout"]) == round(TIMEOUT_S / cycle_s)
     assert 10 ** -int(parameters["ETHERNET1", "Precision"]) < PROBE_DEG / 10
     modes = re.findall(r"RSI_ON\((.*)\)", files["deformscope.src"])
     assert modes == ["#RELATIVE, #IPO" if cycle_s == 0.012 else "#RELATIVE, #IPO_FAST"]

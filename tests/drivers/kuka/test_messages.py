@@ -157,12 +157,10 @@ def test_a_kr6r700_stands_where_a_controller_has_reported_it() -> None:
 
 
 def test_its_urdf_is_made_of_the_chain(chain: Chain) -> None:
-    path = Kuka(KukaConfig(model=chain.name)).urdf
-    assert path.read_text(encoding="utf-8") == urdf_of(chain)
+    assert Kuka(KukaConfig(model=chain.name)).urdf.read_text(encoding="utf-8") == urdf_of(chain)
 
 
 def test_rerun_shows_it(chain: Chain) -> None:
-    rr = pytest.importorskip("rerun")
-    tree = rr.urdf.UrdfTree.from_file_path(Kuka(KukaConfig(model=chain.name)).urdf)
+    tree = pytest.importorskip("rerun").urdf.UrdfTree.from_file_path(Kuka(KukaConfig(model=chain.name)).urdf)
     names = [joint.name for joint in tree.joints() if joint.joint_type == "revolute"]
     assert names == [f"{chain.name}_joint_{index}" for index in range(1, 7)]

@@ -32,8 +32,7 @@ def answered_once(double: KukaDouble, correction_deg: float = STEP_DEG, cycles: 
     """(cycles,) how far the first axis is, cycle by cycle, after one answer and none any more [deg]."""
     double.power_up(0)
     start_deg = double.joints_deg
-    message = decode_rob(double.due(0))
-    double.receive(encode_sen(SenMessage((correction_deg,) + (0.0,) * 5, message.ipoc)), 1)
+    double.receive(encode_sen(SenMessage((correction_deg,) + (0.0,) * 5, decode_rob(double.due(0)).ipoc)), 1)
     way = []
     for cycle in range(1, cycles + 1):
         double.due(cycle * CYCLE_NS)
@@ -54,8 +53,7 @@ def test_holdon_1_repeats_the_last_correction_until_the_timeout() -> None:
     assert way[20] - way[10] == pytest.approx(10 * STEP_DEG)
     assert "were late" in double.ended
     assert way[-1] == pytest.approx(100 * STEP_DEG, abs=2 * STEP_DEG)
-    few = KukaDouble(holdon=1, timeout=5)
-    assert answered_once(few)[-1] == pytest.approx(5 * STEP_DEG, abs=2 * STEP_DEG)
+    assert answered_once(KukaDouble(holdon=1, timeout=5))[-1] == pytest.approx(5 * STEP_DEG, abs=2 * STEP_DEG)
 
 
 def test_holdon_is_of_each_correction() -> None:

@@ -51,8 +51,7 @@ def test_the_nearest_colour_is_taken_and_none_that_is_half_a_period_away() -> No
 
 def test_depth_without_any_colour_does_not_wait_for_ever() -> None:
     pairs = Pairs(30, wanted=True)
-    found = fed(pairs, [depth(PERIOD_US * n) for n in range(WAITING + 2)])
-    assert found == [(0, None), (PERIOD_US, None)]
+    assert fed(pairs, [depth(PERIOD_US * n) for n in range(WAITING + 2)]) == [(0, None), (PERIOD_US, None)]
     assert len(pairs.rest()) == WAITING
     assert pairs.rest() == []
 

@@ -47,8 +47,7 @@ class DamageCount:
 
 def count(packet: bytes, nominal_counts: float | None) -> dict[str, DamageCount]:
     """What each kind of damage to this packet comes to; with the nominal counts, its load is checked as well."""
-    pairs = combinations(range(SIZE), 2)
-    swaps = [{a: packet[b], b: packet[a]} for a, b in pairs if packet[a] != packet[b]]
+    swaps = [{a: packet[b], b: packet[a]} for a, b in combinations(range(SIZE), 2) if packet[a] != packet[b]]
     return {
         "1 bit flipped": _tally(packet, _flips(packet, 1), 8 * SIZE, nominal_counts),
         "2 bits flipped": _tally(packet, _flips(packet, 2), math.comb(8 * SIZE, 2), nominal_counts),

@@ -37,23 +37,20 @@ def test_the_step_is_learned_and_loss_counted_in_readings(step: int) -> None:
 
 def test_loss_while_the_step_is_learned_is_reported_when_it_is() -> None:
     track = CounterTrack(MS)
-    gaps = follow(track, [5, 6, 7, 9, 10, 13, 14, 15, 16])
-    assert [gap.lost for gap in gaps] == [0] * 8 + [3]
+    assert [gap.lost for gap in follow(track, [5, 6, 7, 9, 10, 13, 14, 15, 16])] == [0] * 8 + [3]
     assert track.lost == 3
 
 
 def test_a_damaged_counter_while_the_step_is_learned_is_no_loss() -> None:
     track = CounterTrack(MS)
-    gaps = follow(track, [5, 6, 7, 8 ^ 0x2000, 9, 10, 12, 13, 14])
-    assert [gap.lost for gap in gaps] == [0] * 8 + [1]
+    assert [gap.lost for gap in follow(track, [5, 6, 7, 8 ^ 0x2000, 9, 10, 12, 13, 14])] == [0] * 8 + [1]
     assert track.step == 1
 
 
 def test_a_damaged_counter_is_no_loss() -> None:
     for bit in range(16):
         track, last, now_ns = track_of(first=1000)
-        counters = [(last + 1) ^ 1 << bit, last + 2, last + 3]
-        gaps = follow(track, counters, start_ns=now_ns)
+        gaps = follow(track, [(last + 1) ^ 1 << bit, last + 2, last + 3], start_ns=now_ns)
         assert gaps[0].verdict is not CounterStep.NEXT
         assert [gap.verdict for gap in gaps[1:]] == [CounterStep.CORRECTED, CounterStep.NEXT]
         assert sum(gap.lost for gap in gaps) == track.lost == 0
@@ -181,6 +178,5 @@ def test_the_sum_of_all_gaps_is_what_was_lost(first: int, step: int, seed: int) 
 @given(st.lists(st.integers(0, 65535), max_size=60))
 def test_any_counters_are_followed(counters: list[int]) -> None:
     track = CounterTrack(MS)
-    gaps = follow(track, counters)
-    assert track.lost == sum(gap.lost for gap in gaps)
+    assert track.lost == sum(gap.lost for gap in follow(track, counters))
     assert min(track.late, track.repeated, track.damaged, track.restarts) >= 0

@@ -311,8 +311,7 @@ def test_lost_readings_are_counted_where_they_are_missing() -> None:
 
 @pytest.mark.parametrize("seed", slow_but([0], range(3)))
 def test_on_a_bad_wire_every_whole_reading_comes_and_the_rest_is_counted(seed: int) -> None:
-    faults = Faults(noise=0.05, flip=0.05, cut=0.05, twice=0.02, split=0.1)
-    simulation = Simulation(faults=faults, seed=seed)
+    simulation = Simulation(faults=Faults(noise=0.05, flip=0.05, cut=0.05, twice=0.02, split=0.1), seed=seed)
     with simulation as device:
         before = device.health()
         measured = simulation.run(10.0)

@@ -108,8 +108,7 @@ def test_the_command_prints_a_table(monkeypatch, capsys, tmp_path) -> None:
     monkeypatch.setattr(flips, "count", count)
     monkeypatch.setattr("sys.argv", ["flips"])
     flips.main()
-    printed = capsys.readouterr().out
-    assert "| 2 bits flipped | 8128 | 234 (2.879%) | 49 | 67 | 9 | 109 |" in printed
+    assert "| 2 bits flipped | 8128 | 234 (2.879%) | 49 | 67 | 9 | 109 |" in capsys.readouterr().out
     path = tmp_path / "some.bin"
     path.write_bytes(b"".join(EXAMPLES))
     monkeypatch.setattr("sys.argv", ["flips", "--file", str(path), "--readings", "2"])

@@ -219,21 +219,18 @@ def test_colour_of_the_same_moment_comes_with_depth_on_its_pixels(here: Callable
 
 def test_colour_of_another_moment_is_none(here: Callable[..., None]) -> None:
     here(replace(ONE, color_late_ms=5.1))  # half a period is 5 ms
-    camera = RealsenseCamera(replace(ASKED, color=True), double)
-    assert taken(camera, 1)[0].color == b""
+    assert taken(RealsenseCamera(replace(ASKED, color=True), double), 1)[0].color == b""
 
 
 def test_a_picture_that_the_library_hands_out_twice_comes_once(here: Callable[..., None]) -> None:
     here(replace(ONE, repeating=True))
-    camera = RealsenseCamera(replace(ASKED, color=True), double)
-    numbers = [frame.index for frame in taken(camera, 5)]
+    numbers = [frame.index for frame in taken(RealsenseCamera(replace(ASKED, color=True), double), 5)]
     assert len(set(numbers)) == 5
 
 
 def test_stamps_on_the_hosts_clock_where_they_are_asked_for(here: Callable[..., None]) -> None:
     here(replace(ONE, clock_us=10**15))
-    camera = RealsenseCamera(replace(ASKED, global_time=True), double)
-    assert taken(camera, 1)[0].timestamp_us > 10**15
+    assert taken(RealsenseCamera(replace(ASKED, global_time=True), double), 1)[0].timestamp_us > 10**15
 
 
 def test_a_clock_that_begins_anew_goes_on(here: Callable[..., None]) -> None:
@@ -250,8 +247,7 @@ def test_a_clock_that_begins_anew_goes_on(here: Callable[..., None]) -> None:
 
 def test_a_host_that_stamps_in_the_cameras_place_gives_no_camera_time(here: Callable[..., None]) -> None:
     here(replace(ONE, metadata=False))
-    camera = RealsenseCamera(ASKED, double)
-    assert taken(camera, 1)[0].timestamp_us == reading.NO_TIME_US
+    assert taken(RealsenseCamera(ASKED, double), 1)[0].timestamp_us == reading.NO_TIME_US
 
 
 @pytest.mark.parametrize(

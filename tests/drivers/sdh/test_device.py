@@ -204,8 +204,7 @@ def test_settings_that_cannot_be(settings: dict) -> None:
 def test_readings_say_where_the_hand_is(lab: Make) -> None:
     double = SdhDouble()
     double.place((10.0, -20.0, 30.0, -40.0, 50.0, -60.0, 70.0))
-    made = lab(double)
-    reading = made.hand.next(1.0)
+    reading = lab(double).hand.next(1.0)
     assert reading.position_deg == pytest.approx([10, -20, 30, -40, 50, -60, 70])
     assert reading.velocity_deg_s == pytest.approx([0] * 7)
     assert reading.state == (AxisState.DISABLED,) * 7
@@ -253,8 +252,7 @@ def test_some_axes_move_and_the_others_stay(lab: Make) -> None:
     double = SdhDouble()
     double.place((0.0, 90.3, 0.0, -5.0, 0.0, 0.0, 0.0))  # angles are reported up to half a degree beyond the range
     made = lab(double)
-    result = made.hand.move({2: 15.0, 6: -15.0})
-    assert result.outcome is Outcome.REACHED
+    assert made.hand.move({2: 15.0, 6: -15.0}).outcome is Outcome.REACHED
     assert made.position_deg() == pytest.approx((0, 90.0, 15, -5, 0, 0, -15))
 
 
@@ -317,8 +315,7 @@ def test_ctrl_c_stops_the_hand(lab: Make, monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_a_slow_rate_is_given_its_time(lab: Make) -> None:
-    made = lab(rate_hz=0.5)
-    assert made.hand.move(POSE).outcome is Outcome.REACHED
+    assert lab(rate_hz=0.5).hand.move(POSE).outcome is Outcome.REACHED
 
 
 def test_a_move_that_misses_says_so(lab: Make) -> None:
@@ -326,8 +323,7 @@ def test_a_move_that_misses_says_so(lab: Make) -> None:
     made.hand.move({1: 80.0}, wait=False)
     made.run(1.0)
     made.double.motion.power(1, False)  # something else switches the axis off
-    result = made.hand.wait_until_still(5.0)
-    assert result.disabled == (1,)
+    assert made.hand.wait_until_still(5.0).disabled == (1,)
 
 
 def test_grips(lab: Make) -> None:
@@ -335,8 +331,7 @@ def test_grips(lab: Make) -> None:
     selected = made.hand.select_grip(Grasp.SPHERICAL)
     assert selected.outcome is Outcome.REACHED
     assert selected.duration_s == pytest.approx(3.0)  # 60 deg at 40 deg/s
-    result = made.hand.grip(1.0, 100.0)
-    assert result.outcome is Outcome.REACHED
+    assert made.hand.grip(1.0, 100.0).outcome is Outcome.REACHED
     assert made.position_deg() == pytest.approx((60, -15, 55, -15, 55, -15, 55))
     made.double.obstruct(3, low_deg=-25.0)
     assert made.hand.grip(0.0, 50.0).blocked == (3,)
@@ -347,8 +342,7 @@ def test_a_grip_is_not_stopped_and_that_is_reported(lab: Make) -> None:
     made.hand.select_grip(Grasp.PARALLEL)
     made.hand.grip(0.0, 50.0, wait=False)  # 75 deg: 3 s
     made.run(1.0)
-    report = made.hand.stop()
-    assert report.grip_left_s == pytest.approx(2.0, abs=0.1)
+    assert made.hand.stop().grip_left_s == pytest.approx(2.0, abs=0.1)
     with pytest.raises(SettingsRefused, match="power"):
         made.hand.power(False)
     assert made.hand.wait_until_still(5.0).outcome is Outcome.REACHED

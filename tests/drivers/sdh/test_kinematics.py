@@ -32,8 +32,7 @@ def test_turned_by_60_deg_three_fingers_close_on_the_middle() -> None:
     assert radii == pytest.approx([radii[0]] * 3)
     assert tips[:, 2] == pytest.approx([tips[0, 2]] * 3)
     assert radii[0] < 0.0382  # leaning inwards
-    turns = np.sort(np.degrees(np.arctan2(tips[:, 1], tips[:, 0])))
-    assert np.diff(turns) == pytest.approx([120.0, 120.0])
+    assert np.diff(np.sort(np.degrees(np.arctan2(tips[:, 1], tips[:, 0])))) == pytest.approx([120.0, 120.0])
 
 
 def test_turned_by_90_deg_fingers_0_and_2_face_each_other() -> None:
@@ -47,8 +46,7 @@ def test_turned_by_90_deg_fingers_0_and_2_face_each_other() -> None:
 @given(angles)
 def test_links_keep_their_lengths(position_deg: tuple[float, ...]) -> None:
     for finger in range(3):
-        points = finger_points(position_deg, finger)
-        lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        lengths = np.linalg.norm(np.diff(finger_points(position_deg, finger), axis=0), axis=1)
         assert lengths == pytest.approx([0.0865, 0.0685])
 
 

@@ -101,8 +101,7 @@ def test_a_loop_begins_again_and_its_times_go_on(folder: Path) -> None:
 
 def test_in_real_time_pictures_keep_to_their_moments(video: Path) -> None:
     """On a simulated clock, exactly."""
-    clock = SimulatedClock(1_000)
-    device = VideoFile(video, clock=clock).open(own_thread=False)
+    device = VideoFile(video, clock=SimulatedClock(1_000)).open(own_thread=False)
     stamps = []
     while device.link is Link.CONNECTED:
         stamps += [image.stamp.host_ns for image in device.poll(0.05)]

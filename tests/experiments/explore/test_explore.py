@@ -213,8 +213,7 @@ def test_results_of_a_touch_say_which_and_when_its_dent_was_seen(monkeypatch: py
     use_coarse_maps(monkeypatch)
 
     class Once:
-        inner = LabRobot(built_in("two-60-150", 0), ExploreOptions(beta_model="none"), sees=False)
-        look = inner.look
+        look = LabRobot(built_in("two-60-150", 0), ExploreOptions(beta_model="none"), sees=False).look
 
         def touch(self, command: Touch) -> TouchMeasurement:
             return dataclasses.replace(self.inner.touch(command), seen_ns=40)
@@ -373,8 +372,7 @@ def test_the_way_to_the_next_touch_is_as_high_as_what_it_leads_over() -> None:
     highest_m = float(scene.height_m(way).max())
     over_m = explorer.over_m(goal)
     assert highest_m < over_m < highest_m + 0.006
-    here = explorer.over_m(start)
-    assert here < over_m
+    assert explorer.over_m(start) < over_m
 
 
 def test_before_the_first_touch_nobody_knows_what_the_way_leads_over() -> None:
@@ -455,8 +453,7 @@ class HeldAtFirst:
 def test_a_person_decides_and_a_replay_decides_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     use_coarse_maps(monkeypatch)
     options = ExploreOptions(budget=2, beta_model="none", cell_m=CELL_M)
-    scene = built_in("two-60-150", options.seed)
-    robot = HeldAtFirst(LabRobot(scene, options, sees=False))
+    robot = HeldAtFirst(LabRobot(built_in("two-60-150", options.seed), options, sees=False))
     at = np.array([0.45, 0.3])
     beside, edge = np.array([0.7, 0.2]), np.array([0.3, 0.395])
     person = Person(

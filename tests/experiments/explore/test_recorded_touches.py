@@ -164,8 +164,7 @@ def test_no_further_touch_is_given_once_somebody_asks_to_end() -> None:
     asked = threading.Event()
     (touched, _), _ = found_in()
     made = Touched(touched, FrameData({}, {}, defaultdict(lambda: np.zeros(3))))
-    source = cast("Any", SimpleNamespace(until_ns=0, start_ns=0))
-    robot = RecordedTouches([made, made], source, ())
+    robot = RecordedTouches([made, made], cast("Any", SimpleNamespace(until_ns=0, start_ns=0)), ())
     robot.asked = asked.is_set
     command = cast("Touch", object.__new__(Touch))
     assert robot.carry_out(command, lambda: None).result() is made

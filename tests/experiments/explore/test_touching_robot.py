@@ -89,8 +89,7 @@ def test_more_is_left_out_around_the_stick_where_the_cameras_place_is_in_doubt()
     scene = make_scene(3, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
     radii, pose = [], scene.robot.pose
     for doubt_m in (0.0, 0.004):
-        geometry = SetupGeometry.of(setup(scene, Workspace(), doubt_m))
-        robot = geometry.posed_robot(pose, J2N6S300)
+        robot = SetupGeometry.of(setup(scene, Workspace(), doubt_m)).posed_robot(pose, J2N6S300)
         radii.append([link.radius_m + robot.margin_m for link in robot.capsules])
     scene.lab.close()
     plain, doubtful = np.array(radii)

@@ -55,8 +55,7 @@ def touched(table: RigidTable, touches: int) -> list[ComplianceTouch]:
 
 
 def test_it_is_found_again_and_so_is_where_the_camera_is_off() -> None:
-    made = touched(RigidTable(), 3)
-    found = combine_compliance(made)
+    found = combine_compliance(touched(RigidTable(), 3))
     assert len(found.touches) == 3
     assert found.compliance_m_per_n == pytest.approx(GIVES_M_PER_N, rel=0.02)
     assert found.compliance_sd == pytest.approx(COMMON_SD * GIVES_M_PER_N, rel=0.1)

@@ -49,8 +49,7 @@ def test_the_arm_brings_the_hand_squeezes_and_withdraws(good: PlacedTrial) -> No
 
 
 def test_what_is_found_is_where_it_stands(good: PlacedTrial) -> None:
-    fit = good.found.sightings[0].fit
-    assert fit is not None
+    assert good.found.sightings[0].fit is not None
     after = good.found.sightings[-1].fit
     truth = good.lab.simulated.T_table_container[:3, 3]
     assert (np.abs(after.center_m - truth) < 4.0 * np.append(after.deviation_m[:2], 1e-3)).all()
@@ -58,8 +57,7 @@ def test_what_is_found_is_where_it_stands(good: PlacedTrial) -> None:
 
 def test_the_pads_press_where_the_grasp_was_drawn(good: PlacedTrial) -> None:
     """By the simulated container, which nobody but the laboratory knows."""
-    placed = good.found.placement
-    nominal, true = placed.T_hand_container, good.lab.simulated.world.T_hand_container
+    nominal, true = good.found.placement.T_hand_container, good.lab.simulated.world.T_hand_container
     np.testing.assert_allclose(true[:3, 3], nominal[:3, 3], atol=0.004)
     assert np.degrees(np.arccos(np.clip(true[:3, 2] @ nominal[:3, 2], -1.0, 1.0))) < 1.0
 
@@ -87,8 +85,7 @@ def test_something_on_the_way_stops_the_arm_and_it_backs_off() -> None:
 def test_a_hard_push_stops_it_where_it_is() -> None:
     trial = PlacedTrial("kuka")
     trial.at("travel", lambda: trial.lab.simulated.injected_n.__setitem__(1, 9.0))
-    found = trial.go()
-    assert found.stop.kind == "force above the hard stop"
+    assert trial.go().stop.kind == "force above the hard stop"
     assert "back off" not in trial.phases
     before = trial.lab.simulated.T_table_hand
     trial.lab.wait_until(trial.lab.clock() + S)
@@ -100,16 +97,14 @@ def test_an_arm_whose_controller_holds_the_last_value_is_stopped() -> None:
     assert trial.lab.functions is not None
     functions = trial.lab.functions
     trial.at("travel", lambda: setattr(functions, "frozen", True))
-    found = trial.go()
-    assert found.stop.kind == "arm frozen"
+    assert trial.go().stop.kind == "arm frozen"
     assert "close" not in trial.phases
 
 
 def test_a_person_stops_it_on_the_way() -> None:
     trial = PlacedTrial("kuka")
     trial.at("travel", lambda: trial.hand.ask_to_stop("Ctrl-C"))
-    found = trial.go()
-    assert found.stop.kind == "a person asked"
+    assert trial.go().stop.kind == "a person asked"
     assert "approach" not in trial.phases
 
 
@@ -143,14 +138,12 @@ def test_a_container_that_moved_while_the_hand_came_is_noticed(fault: str) -> No
     simulated = trial.lab.simulated
     action = (lambda: simulated.shift(0.012, 0.0)) if fault == "shift" else (lambda: simulated.topple((0.3, 1.0)))
     trial.at("travel", action)
-    found = trial.go()
-    assert found.stop.kind.startswith("container ")
+    assert trial.go().stop.kind.startswith("container ")
     assert "close" not in trial.phases
 
 
 def test_a_hand_that_is_led_into_the_container_topples_or_moves_it() -> None:
-    trial = PlacedTrial("kuka")
-    simulated = trial.lab.simulated
+    simulated = PlacedTrial("kuka").lab.simulated
     hand = simulated.T_table_hand
     there = simulated.T_table_container.copy()
     there[:3, 3] = hand[:3, 3] + 0.1 * hand[:3, 2] + 0.03 * hand[:3, 0]  # a finger is within
@@ -172,8 +165,7 @@ def test_a_grasp_that_a_person_chose_is_taken() -> None:
 def test_what_is_recorded_is_read_again_as_it_was_and_is_shown(good: PlacedTrial) -> None:
     results = [*good.found.sightings, good.found.placement]
     for result in results:
-        again = from_components(type(result), to_components(result))
-        assert differing(result, again) is None
+        assert differing(result, from_components(type(result), to_components(result))) is None
     rec = rr.RecordingStream("deformscope-test")
     memory = rec.memory_recording()
     prepare_squeeze_results(results, 0, None).send(rec)
@@ -281,8 +273,7 @@ def test_an_arm_that_drifts_slowly_ends_the_squeeze_before_the_hand_has_gone_far
     found = trial.go()
     assert found.stop.kind == "arm that carries the hand"
     assert "from the hand's first pose" in found.stop.reason
-    off_mm = float(found.stop.reason.split(" mm")[0])
-    assert 5.0 <= off_mm <= 7.0
+    assert 5.0 <= float(found.stop.reason.split(" mm")[0]) <= 7.0
     assert "open" not in trial.phases
 
 
@@ -352,8 +343,7 @@ def test_an_arm_that_cannot_be_watched_any_more_is_a_stop_with_its_reason(monkey
         raise LinkLost("the arm's port", "it is gone")
 
     trial.at("approach", lambda: monkeypatch.setattr(trial.arm, "_robot", lost))
-    found = trial.go()
-    assert "it is gone" in found.stop.reason
+    assert "it is gone" in trial.go().stop.reason
     assert "close" not in trial.phases
 
 
@@ -392,16 +382,14 @@ def test_what_asks_to_stop_while_it_looks_keeps_the_arm_from_setting_out() -> No
             trial.lab.schedule(trial.lab.clock() + S // 5, lambda: trial.hand.ask_to_stop("the page is hidden"))
 
     trial.at("pre-shape", once_it_looks)
-    found = trial.go()
-    assert found.stop.kind == "a person asked"
+    assert trial.go().stop.kind == "a person asked"
     assert "travel" not in trial.phases
 
 
 def test_after_a_question_nothing_moved_and_it_goes_on() -> None:
     trial = PlacedTrial("kuka")
     trial.asks = lambda: trial.at("travel", lambda: trial.hand.ask_to_stop("enough"))
-    found = trial.go()
-    assert found.stop.kind == "a person asked"
+    assert trial.go().stop.kind == "a person asked"
     assert trial.phases[-1] == "travel"
 
 

@@ -69,8 +69,7 @@ def test_it_pre_shapes_closes_holds_and_opens(good: Session) -> None:
 
 
 def test_events_are_within_two_sample_periods_of_the_truth(good: Session) -> None:
-    found = good.found.features
-    truth, events = good.lab.truth, found.events
+    truth, events = good.lab.truth, good.found.features.events
     assert abs(events.first_ns - truth.contact_ns) <= 2e9 * events.tactile_period_s
     assert abs(events.steady_ns - truth.steady_ns) <= 2e9 * max(events.tactile_period_s, events.hand_period_s)
     assert events.first_interval_ns[0] <= truth.contact_ns <= events.first_interval_ns[1]
@@ -298,7 +297,6 @@ def test_a_container_that_hardly_presses_contradicts_nothing_at_any_speed(speed_
     lab.squeeze = dataclasses.replace(
         lab.squeeze, speed_deg_s=speed_deg_s, contact_timeout_s=60.0, still_timeout_s=60.0, still_deg=0.1
     )
-    session = Session(lab)
-    found = session.go()
+    found = Session(lab).go()
     assert found.stop is None
     assert found.features is not None

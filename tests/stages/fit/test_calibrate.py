@@ -136,8 +136,7 @@ def test_error_is_the_mean_over_all_particles() -> None:
     body = pushed((5, 6), np.random.default_rng(17))
     noisy = truth(body, 3, 0.5) + np.random.default_rng(2).normal(0, 3e-4, body.rest.shape)
     found = calibrate([observation(body, noisy)], FitOptions(Model(), BETA_BOUNDS))
-    shown = found.comparisons[0]
-    distance = np.linalg.norm(shown.simulated - noisy, axis=1)
+    distance = np.linalg.norm(found.comparisons[0].simulated - noisy, axis=1)
     assert np.all(distance[body.held] < 1e-12)
     assert found.estimate.aee == pytest.approx(distance.mean(), rel=1e-9)
     free = ~clusters.held_mask(len(noisy), body.held)

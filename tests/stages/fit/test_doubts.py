@@ -185,8 +185,7 @@ def test_outliers_do_not_contradict_the_noise() -> None:
     rng = np.random.default_rng(1)
     residual = rng.normal(0.0, NOISE_M, seen.rest.shape)
     residual[rng.permutation(len(residual))[:5]] *= 100.0
-    ratio = residual_ratio([seen], [seen.deformed - residual], 1e-9)
-    assert 0.7 < ratio < 1.4
+    assert 0.7 < residual_ratio([seen], [seen.deformed - residual], 1e-9) < 1.4
 
 
 def test_units_are_doubted() -> None:
@@ -338,8 +337,7 @@ def test_yielding_names_two_materials() -> None:
         cell=motion.cell,
     )
     model = Model(volume="project")
-    way = splits(still, model.grouping(still))[0]
-    beta = np.where(way.first, 0.2, 0.9)[None]
+    beta = np.where(splits(still, model.grouping(still))[0].first, 0.2, 0.9)[None]
     body = PlasticMsm(model.body(still), Plasticity(0.07))
     states = []
     for position, held in zip(motion.position, motion.held, strict=True):

@@ -76,8 +76,7 @@ def test_a_quantity_without_bounds_needs_data_that_tell_too() -> None:
     assert relative_verdict(10.0, (9.5, 10.5)) == "identified"
     assert relative_verdict(10.0, (8.0, 13.0)) == "weak"
     assert relative_verdict(10.0, (8.0, float("inf"))) == "unidentified"
-    unexplained = tuple(little_explained(0.2))
-    assert relative_verdict(10.0, (9.5, 10.5), unexplained) == "unidentified"
+    assert relative_verdict(10.0, (9.5, 10.5), tuple(little_explained(0.2))) == "unidentified"
     assert relative_verdict(10.0, (9.5, 10.5), tuple(little_explained(0.5))) == "weak"
     assert relative_verdict(10.0, (9.5, 10.5), tuple(little_explained(0.9))) == "identified"
 

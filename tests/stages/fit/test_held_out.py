@@ -29,16 +29,14 @@ def test_held_out_error_is_that_of_particles_left_out() -> None:
     one = pulled(np.random.default_rng(1), "own", frames=3, sigma=2e-4, shape=(9, 9), beta=0.5)
     search = Search(one.seen, Model(), (0.0, 0.99))
     search.sweep(16, None)
-    rest = one.seen[0].rest
-    block, fold = blocks_of(rest, 0.01, 0.03)
+    block, fold = blocks_of(one.seen[0].rest, 0.01, 0.03)
     free = one.seen[0].free_observed
     found = hold_out(search, free, block, fold)
     assert found.value == pytest.approx(0.5, abs=0.1)
     assert found.fit <= found.error
     assert found.error == pytest.approx(2e-4 * np.sqrt(np.pi / 2), rel=0.2)  # the mean length of such noise
     # what is not judged does not count
-    few = hold_out(search, free & (block == 4), block, fold)
-    assert np.isfinite(few.block).sum() == 1
+    assert np.isfinite(hold_out(search, free & (block == 4), block, fold).block).sum() == 1
 
 
 def test_ways_are_reported_apart_beyond_their_scatter_only() -> None:

@@ -117,8 +117,7 @@ def test_a_wrong_noise_level_is_corrected_by_the_residuals(factor: float) -> Non
 
 def test_the_statement_counts_where_residuals_are_few() -> None:
     """One particle at 0.3 of the stated noise: the likeliest t solves 2 (0.09 exp(-2 t) - 1) = t, by hand -0.90."""
-    some = measured((1, 1), held=False)
-    found = ErrorModel(some).evidence(np.full((1, 1, 2), 3e-5), np.zeros((1, 2, 0)))
+    found = ErrorModel(measured((1, 1), held=False)).evidence(np.full((1, 1, 2), 3e-5), np.zeros((1, 2, 0)))
     assert found.log_scale[0, 0] == pytest.approx(-0.90, abs=0.02)  # the residuals alone would say log(0.3) = -1.20
     assert found.log_scale_deviation[0, 0] > 0.4
 

@@ -96,16 +96,14 @@ def test_too_few_patches_cannot_tell_that_frames_are_independent() -> None:
 
 
 def test_patches_are_of_the_asked_side_without_slivers() -> None:
-    rest = lattice((10, 7), 1.0)
-    number = patches(rest, 3.0)
+    number = patches(lattice((10, 7), 1.0), 3.0)
     sizes = np.bincount(number)
     assert len(sizes) == 3 * 2
     assert sizes.min() >= 9
 
 
 def test_frames_of_the_posterior_are_few_and_no_less_honest() -> None:
-    one = pulled(np.random.default_rng(5), "own", frames=20, sigma=1e-4)
-    search = Search(one.seen, Model(), (0.0, 0.99))
+    search = Search(pulled(np.random.default_rng(5), "own", frames=20, sigma=1e-4).seen, Model(), (0.0, 0.99))
     search.sweep(20, None)
     search.refine()
     found = together(search, 0)

@@ -47,8 +47,7 @@ def test_touches_exclude_the_lumps_that_they_lie_in() -> None:
     """By counting: of inclusions of 6 cm, all on the surface, the share without a touch far enough inside."""
     places = [(0.15, 0.15), (0.33, 0.21), (0.45, 0.11)]
     posterior = touched(places)
-    random = np.random.default_rng(0)
-    centres = random.uniform(0.06, [0.54, 0.34], (20000, 2))
+    centres = np.random.default_rng(0).uniform(0.06, [0.54, 0.34], (20000, 2))
     deep = 0.06 - np.min([np.hypot(*(centres - at).T) for at in places], axis=0)
     # a share of 0.2 of twice the stiffness is 14 %, more than three deviations; at 0.05 it is less than one
     at_most, at_least = (float((ndtr(deep / posterior.prior.blur_m) < share).mean()) for share in (0.2, 0.05))

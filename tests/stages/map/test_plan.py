@@ -76,8 +76,7 @@ def test_cost_is_the_touch_and_the_way_to_it(halves: RegionPosterior) -> None:
 
 def test_integrated_variance_is_what_one_more_touch_really_takes_off(one_material: RegionPosterior) -> None:
     """Against the variance of the process computed anew with the touch in it."""
-    options = PlanOptions(fill=20, cell_m=0.05, border_m=0.0, apart_m=0.0)
-    plan = plan_touch(one_material, KERNEL, options)
+    plan = plan_touch(one_material, KERNEL, PlanOptions(fill=20, cell_m=0.05, border_m=0.0, apart_m=0.0))
     places, touched = plan.grid.centres_m, np.array(SPREAD)
 
     def mean_variance(at: np.ndarray) -> float:
@@ -97,8 +96,7 @@ def test_information_is_that_of_two_hypotheses_in_closed_form() -> None:
     places = MapGrid(cell_m=0.1).centres_m
     labels = maps.labels(places)
     one = 0
-    other = int(np.argmax((labels != labels[one]).sum(axis=1)))
-    pair = maps.take(np.array([one, other]))
+    pair = maps.take(np.array([one, int(np.argmax((labels != labels[one]).sum(axis=1)))]))
     level = np.array([[0.0, 0.5], [0.0, 0.5]])
     weighed = ((pair, level, np.zeros((2, 2, 2)), np.array([0.5, 0.5])),)
     hypotheses = RegionHypotheses(weighed, (), True, (np.zeros(2),))
@@ -209,8 +207,7 @@ def test_a_touch_may_be_repeated_at_its_very_place_and_says_less_than_one_beside
     # where that touch gave nothing it is not made again; nor in a filling
     failed = plan_touch(posterior, KERNEL, PlanOptions(), left_out_m=here[None])
     assert failed.excluded.ravel()[cells[0]] == TOUCHED_BEFORE
-    filling = plan_touch(posterior, KERNEL, PlanOptions(fill=20))
-    assert filling.excluded.ravel()[cells[0]] == TOUCHED_BEFORE
+    assert plan_touch(posterior, KERNEL, PlanOptions(fill=20)).excluded.ravel()[cells[0]] == TOUCHED_BEFORE
     # the place itself is touched, not its cell's middle; and it was as good as known what it reads
     off = xy[5]
     at_m, again = posterior.repeated(np.array([[0.31, 0.31], off, [0.4, 0.2]]), 0.01)
@@ -232,8 +229,7 @@ def test_what_touches_near_others_are_expected_to_read_is_the_conditional_of_one
     every = posterior.hypotheses()
     one = replace(every, maps=every.maps[:1], scatter=every.scatter[:1], smooth=())
     mean, variance, sd, weight = posterior.related(new).expected(one, posterior.prior.blur_m)
-    both = np.concatenate([made, new])
-    errors = 0.08**2 * error.related(both) + 0.04**2 * np.eye(18)
+    errors = 0.08**2 * error.related(np.concatenate([made, new])) + 0.04**2 * np.eye(18)
     cov = posterior.prior.any_level_sd**2 + errors
     value = np.array([sample.log_stiffness for sample in samples])
     centre = value.mean()
@@ -243,8 +239,7 @@ def test_what_touches_near_others_are_expected_to_read_is_the_conditional_of_one
     assert variance.shape == (1, 9)
     assert weight.tolist() == [1.0]
     # 2 cm from a touch a reading is better known than far from all
-    far = np.hypot(*(new[:, None] - made).transpose(2, 0, 1)).min(axis=1).argmax()
-    assert sd[0, 0] < 0.85 * sd[0, far]
+    assert sd[0, 0] < 0.85 * sd[0, np.hypot(*(new[:, None] - made).transpose(2, 0, 1)).min(axis=1).argmax()]
 
 
 def test_a_touch_next_to_others_of_its_material_says_less_than_one_between_them_and_the_next() -> None:

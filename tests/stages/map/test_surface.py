@@ -136,8 +136,7 @@ def test_slopes_are_the_surfaces_finite_differences_and_so_is_their_deviation() 
 
 
 def test_normals_stand_on_a_tilted_plane() -> None:
-    rng = np.random.default_rng(5)
-    places = rng.uniform(size=(600, 2)) * SIZE
+    places = np.random.default_rng(5).uniform(size=(600, 2)) * SIZE
     points = np.column_stack([places, 0.2 * places[:, 0] - 0.1 * places[:, 1]])
     normals = fit_surface(points).normals(np.array([[0.3, 0.2], [0.1, 0.3]]))
     expected = np.array([-0.2, 0.1, 1.0]) / np.sqrt(1.05)
@@ -146,8 +145,7 @@ def test_normals_stand_on_a_tilted_plane() -> None:
 
 def test_tactile_points_are_believed_as_they_are_and_do_not_scale_with_the_cameras_noise() -> None:
     rng = np.random.default_rng(6)
-    places = with_a_hole(rng, 600)
-    points = np.column_stack([places, rng.normal(size=600) * 2e-3])
+    points = np.column_stack([with_a_hole(rng, 600), rng.normal(size=600) * 2e-3])
     dent = np.array([[0.35, 0.2, -0.006], [0.352, 0.2, -0.0059]])
     surface = fit_surface(points, known_m=dent, known_noise_m=np.full(2, 1e-4))
     at = surface.at(np.array([[0.35, 0.2]]))
@@ -183,16 +181,14 @@ def test_constant_few_and_repeated_points_still_make_a_surface() -> None:
     assert np.isfinite(few.at(np.array([[0.3, 0.2]])).mean).all()
     repeated = np.repeat(flat[:20], 10, axis=0)
     repeated[:, 2] += np.random.default_rng(0).normal(size=200) * 1e-3
-    found = fit_surface(repeated)
-    assert found.noise_m[0] == pytest.approx(1e-3, rel=0.2)
+    assert fit_surface(repeated).noise_m[0] == pytest.approx(1e-3, rel=0.2)
     on_a_line = np.column_stack([np.linspace(0, 0.5, 50), np.zeros(50), np.linspace(0, 0.01, 50)])
     assert fit_surface(on_a_line).at(np.array([[0.25, 0.0]])).mean[0] == pytest.approx(0.005, abs=1e-4)
 
 
 def test_a_length_at_its_bound_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(marginal_likelihood, "MOST_SINES", 300)  # a small basis has its shortest length sooner
-    rng = np.random.default_rng(8)
-    places = rng.uniform(size=(1000, 2)) * SIZE
+    places = np.random.default_rng(8).uniform(size=(1000, 2)) * SIZE
     rough = np.sin(places[:, 0] / 0.03) * np.sin(places[:, 1] / 0.03) * 0.01
     assert "length" in fit_surface(np.column_stack([places, rough])).learned.at_bound
 

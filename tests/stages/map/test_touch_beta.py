@@ -150,8 +150,7 @@ def test_the_thesiss_model_finds_its_own_beta(level: HeightProcess) -> None:
     grid = MapGrid((0.15, 0.15), 0.01)
     rest = np.column_stack([0.025 + grid.centres_m, np.full(225, THICKNESS)])
     row, column = np.unravel_index(np.arange(225), grid.shape)
-    edge = np.flatnonzero((row % 14 == 0) | (column % 14 == 0))
-    held = np.append(edge, 7 * 15 + 7)
+    held = np.append(np.flatnonzero((row % 14 == 0) | (column % 14 == 0)), 7 * 15 + 7)
     at = rest[held].copy()
     at[-1, 2] -= 0.03
     body = Msm(rest, clusters.lattice(rest, grid.shape, np.arange(225), 3), held, basis="linear", precision="float64")
@@ -161,5 +160,4 @@ def test_the_thesiss_model_finds_its_own_beta(level: HeightProcess) -> None:
         def at(self, places: FloatArray) -> ProcessPrediction:
             return ProcessPrediction(heights, np.zeros(225))
 
-    found = thesis_beta(dent_of(level, Made(), AT))
-    assert found.beta == pytest.approx(0.8, abs=0.12)
+    assert thesis_beta(dent_of(level, Made(), AT)).beta == pytest.approx(0.8, abs=0.12)

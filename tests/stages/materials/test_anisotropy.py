@@ -41,8 +41,7 @@ def _observed(
 
 
 def _turned(dim: int) -> FloatArray:
-    q = np.linalg.qr(np.random.default_rng(7).normal(size=(dim, dim)))[0]
-    return np.asarray(q)
+    return np.asarray(np.linalg.qr(np.random.default_rng(7).normal(size=(dim, dim)))[0])
 
 
 @pytest.mark.parametrize(("shape", "beta"), [((6, 7), [0.3, 0.85]), slow((4, 4, 4), [0.2, 0.6, 0.9])])

@@ -38,8 +38,7 @@ def held_share(estimate: FieldEstimate, young: FloatArray) -> float:
 
 
 def test_two_materials_their_border_and_their_ratio() -> None:
-    seen = elastic_pair(SMALL, halves)
-    estimate = found(seen)
+    estimate = found(elastic_pair(SMALL, halves))
     assert estimate.verdict == "materials"
     assert estimate.materials == 2
     assert abs(estimate.ratio / 4.0 - 1.0) < 0.15
@@ -191,8 +190,7 @@ def test_a_material_is_cut_where_the_data_want_it() -> None:
 def test_errors_are_as_large_as_is_likeliest() -> None:
     """To within a few hundredths, as another search has it: off by an eighth, 154 numbers are 5 nats less likely, which
     decides between descriptions."""
-    seen = elastic_pair(SMALL, halves, noise_m=0.0153 * SPACING_M, reach=1.4, seed=4)
-    fit = FieldFit(seen, "elastic")
+    fit = FieldFit(elastic_pair(SMALL, halves, noise_m=0.0153 * SPACING_M, reach=1.4, seed=4), "elastic")
     prior = fit.levels((fit.place[:, 0] > 0.05).astype(np.int64))
     point = fit.fit(prior, NoiseModel(1.0, 0.02))
     noise, _ = likeliest_noise(fit, prior, point)

@@ -147,8 +147,7 @@ def _broken(**change: object) -> Motion:
 
 
 def test_motions_that_make_no_sense_are_refused() -> None:
-    rest = lattice((4, 3))
-    missing = np.repeat(rest[None], 3, axis=0)
+    missing = np.repeat(lattice((4, 3))[None], 3, axis=0)
     missing[1, 0] = np.nan
     with pytest.raises(InputError, match="held of shape"):
         _broken(held=np.zeros((2, 12), dtype=bool))

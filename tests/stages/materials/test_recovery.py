@@ -56,8 +56,7 @@ def test_a_known_solid_is_found_again() -> None:
     assert found.share.interval[0] < 0.3 < found.share.interval[1]
     assert found.time_s.interval[0] < 1.0 < found.time_s.interval[1]
     assert found.instant is None
-    simulated = found.simulated[found.released :]
-    assert found.observed[found.released :] == pytest.approx(simulated, abs=0.015)
+    assert found.observed[found.released :] == pytest.approx(found.simulated[found.released :], abs=0.015)
 
 
 @pytest.mark.slow

@@ -12,8 +12,7 @@ from tests.stages.bodies import lattice
 
 
 def test_windows_of_a_full_lattice() -> None:
-    rest = lattice((3, 4))
-    found = clusters.lattice(rest, (3, 4), np.arange(12), 2)
+    found = clusters.lattice(lattice((3, 4)), (3, 4), np.arange(12), 2)
     assert found.count == 2 * 3
     assert sorted(next(iter(found))) == [0, 1, 4, 5]
     # a corner is in one window, an edge in two, the inside in four
@@ -45,8 +44,7 @@ def test_a_particle_that_no_window_keeps_is_given_neighbours() -> None:
 
 
 def test_a_flat_sheet_in_space_keeps_its_flat_windows() -> None:
-    rest = np.column_stack([lattice((4, 4)), np.zeros(16)])
-    found = clusters.lattice(rest, (4, 4, 1), np.arange(16), 3)
+    found = clusters.lattice(np.column_stack([lattice((4, 4)), np.zeros(16)]), (4, 4, 1), np.arange(16), 3)
     assert found.count == 4
 
 
@@ -151,7 +149,6 @@ def test_no_lattice_is_claimed_where_there_is_none(what: str) -> None:
 
 
 def test_nearest_clusters_cover_a_cloud() -> None:
-    rest = np.random.default_rng(3).uniform(0, 0.1, (50, 3))
-    found = clusters.nearest(rest, 27)
+    found = clusters.nearest(np.random.default_rng(3).uniform(0, 0.1, (50, 3)), 27)
     assert found.cluster_counts().min() >= 1
     assert {len(row) for row in found} == {27}

@@ -30,8 +30,7 @@ def test_exact_observations_give_the_truth_and_unseen_particles_do_not_count(dev
     engine = Msm(body.rest, body.clusters(3), body.held, device=device)
     observed = engine.relax(body.held_position, 0.637).position[0]
     observed[::3] = np.nan
-    found = fit_beta(engine, body.held_position, observed)
-    assert found.value == pytest.approx(0.637, abs=1e-3)
+    assert fit_beta(engine, body.held_position, observed).value == pytest.approx(0.637, abs=1e-3)
 
 
 @pytest.mark.parametrize(("size", "start"), [(2, 0.5), (3, 0.1), (4, 0.9)])
@@ -70,5 +69,4 @@ def test_a_shape_beyond_the_model_ends_at_the_bound(device: str) -> None:
     body = pushed((6, 8), np.random.default_rng(4))
     engine = Msm(body.rest, body.clusters(3), body.held, device=device)
     ends = engine.relax(body.held_position, [0.0, 0.3]).position
-    found = fit_beta(engine, body.held_position, ends[0] + 0.5 * (ends[0] - ends[1]))
-    assert found.value < 0.02
+    assert fit_beta(engine, body.held_position, ends[0] + 0.5 * (ends[0] - ends[1])).value < 0.02

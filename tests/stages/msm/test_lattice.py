@@ -96,8 +96,7 @@ class Body:
 
 def _sheared(dim: int) -> tuple[tuple[float, ...], ...]:
     """Rows of an even lattice that is stretched unevenly, sheared and turned."""
-    rng = np.random.default_rng(dim)
-    q = np.linalg.qr(rng.normal(size=(dim, dim)))[0]
+    q = np.linalg.qr(np.random.default_rng(dim).normal(size=(dim, dim)))[0]
     edges = (np.diag([1.0, 1.7, 0.8][:dim]) + np.triu(np.full((dim, dim), 0.4), 1)) @ q
     return tuple(map(tuple, edges.tolist()))
 
@@ -300,8 +299,7 @@ def test_a_step_without_motion_goes_to_the_goals_of_each_cluster(
     beta = body.rng.uniform(0.0, 1.0, (count, body.clusters.count))
     limit = _limit(precision, body, states)
     for engine in (body.engine(precision, device), body.as_lists(precision, device)):
-        state = engine.start(count, states)
-        stepped = engine.step(state, states[:, body.held], beta, 0.4, volume="project")
+        stepped = engine.step(engine.start(count, states), states[:, body.held], beta, 0.4, volume="project")
         expected = states + engine.residual(states, beta, 0.4, volume="project")
         np.testing.assert_allclose(stepped, expected, rtol=0.0, atol=limit)
 
@@ -498,10 +496,8 @@ def test_a_particle_that_no_window_keeps_makes_a_body_of_lists(device: str) -> N
 def test_lattices_of_other_axes_than_their_space(device: str, shape: tuple[int, ...], dim: int) -> None:
     """A sheet or a rod, counted along its own axes only, or along one more than the plane has."""
     rng = np.random.default_rng(3)
-    index = lattice(shape, 1.0)
-    used = index[:, [axis for axis, n in enumerate(shape) if n > 1]]
-    turn = np.linalg.qr(rng.normal(size=(dim, dim)))[0]
-    rest = SPACING_M * used @ turn[: used.shape[1]]
+    used = lattice(shape, 1.0)[:, [axis for axis, n in enumerate(shape) if n > 1]]
+    rest = SPACING_M * used @ np.linalg.qr(rng.normal(size=(dim, dim)))[0][: used.shape[1]]
     grouped = clusters.lattice(rest, shape, np.arange(len(rest)), 3)
     held = np.array([0])
     engine = Msm(rest, grouped, held, device=device)

@@ -200,8 +200,7 @@ def test_a_sheet_in_space_takes_the_betas_of_its_plane(device: str) -> None:
 
 
 def test_stepping_comes_to_the_static_state_and_back_to_one_beta(device: str) -> None:
-    rng = np.random.default_rng(9)
-    body = pushed((5, 4), rng)
+    body = pushed((5, 4), np.random.default_rng(9))
     engine = Msm(body.rest, body.clusters(3), body.held, device=device)
     beta = AxisBeta(np.array([0.2, 0.8]))
     state = engine.start()

@@ -188,8 +188,7 @@ def test_what_it_does_not_serve_goes_without(kind: str, device: str) -> None:
         rest = engine.rest[cell]
         held = np.flatnonzero((rest[:, 0] == 0) & (rest[:, 1] < 14))
         engine, position = Msm(rest, clusters.lattice(rest, shape, cell, 3), held, device=device), rest[held]
-    method = engine._method(*engine._kind(np.zeros(1), 1, "scale"))
-    assert method.multigrid is None
+    assert engine._method(*engine._kind(np.zeros(1), 1, "scale")).multigrid is None
     assert engine.relax(position, 0.5, max_iterations=5).smoothed[0] == 0
 
 
@@ -237,8 +236,7 @@ def test_a_bad_preconditioner_is_given_up(fault: str, device: str, monkeypatch: 
 
     def cycle(self: Multigrid, rho: Any, running: Any) -> None:
         values = self.layout.get(rho, engine.dim)
-        factor = {"negative": -1.0, "not a number": np.nan, "useless": wild}[fault]
-        self.layout.put(values * factor, self.z)
+        self.layout.put(values * {"negative": -1.0, "not a number": np.nan, "useless": wild}[fault], self.z)
 
     monkeypatch.setattr(Multigrid, "cycle", cycle)
     # a host's copy is not recorded

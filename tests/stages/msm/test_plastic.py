@@ -216,8 +216,7 @@ def test_creep_sets_the_pace(device: str) -> None:
 
 @pytest.mark.parametrize("shape", PLANE_FIRST)
 def test_a_set_stays_after_unloading_where_it_yielded(device: str, shape: tuple[int, ...]) -> None:
-    rng = np.random.default_rng(7)
-    body = pushed(shape, rng)
+    body = pushed(shape, np.random.default_rng(7))
     strains = np.array([0.02, 0.05, 0.1, 0.2, 2.0])
     engine = PlasticMsm(_engine(body, device), Plasticity(strains), len(strains))
     assert engine.load(body.held_position, 0.6).flowed.tolist() == [True, True, True, True, False]
@@ -268,8 +267,7 @@ def test_a_purely_volumetric_strain_does_not_flow_away(device: str) -> None:
     """S^p keeps the volume: what is left above the yield strain stays, and the load ends all the same."""
     rest = lattice((3, 3, 3))
     shell = np.delete(np.arange(27), 13)
-    body = Msm(rest, clusters.single(27), shell, device=device)
-    engine = PlasticMsm(body, Plasticity(0.05))
+    engine = PlasticMsm(Msm(rest, clusters.single(27), shell, device=device), Plasticity(0.05))
     found = engine.load(rest[shell] * 1.2, 0.5)
     assert found.converged.all()
     assert found.strain[0, 0] == pytest.approx(0.2, abs=1e-3)
@@ -287,8 +285,7 @@ def test_a_cluster_turned_inside_out_stays_finite(device: str) -> None:
 
 
 def test_a_sheet_in_space_flows_as_one_in_the_plane(device: str) -> None:
-    rng = np.random.default_rng(10)
-    flat = pushed((5, 5), rng)
+    flat = pushed((5, 5), np.random.default_rng(10))
     lists = list(flat.clusters(3))
     space = Msm(np.pad(flat.rest, [(0, 0), (0, 1)]), clusters.Clusters(lists, len(flat.rest)), flat.held, device=device)
     plane, sheet = PlasticMsm(_engine(flat, device), Plasticity(0.04)), PlasticMsm(space, Plasticity(0.04))

@@ -41,8 +41,7 @@ def test_a_flat_tip_touches_its_footprint_and_pushes_it_down(scene: PokeSetup) -
     np.testing.assert_array_equal(found.position[scene.fixed], scene.rest[scene.fixed])
     held = np.concatenate([scene.fixed, found.touched])
     pull = forces(scene, found.position, held)
-    free = np.setdiff1d(np.arange(len(scene.rest)), held)
-    assert np.abs(pull[free]).max() < 1e-6 * np.abs(pull).max()
+    assert np.abs(pull[np.setdiff1d(np.arange(len(scene.rest)), held)]).max() < 1e-6 * np.abs(pull).max()
     assert found.reaction == pytest.approx(-pull[found.touched, 2].sum(), rel=1e-6)
     assert found.converged
 
@@ -51,8 +50,7 @@ def test_particles_that_slip_are_pulled_at_by_nothing_sideways_and_lower_the_for
     tip = Tip("flat", (0.04,))
     slips = press(scene, LAW, Poke(AT, tip, depth=0.003))
     sticks = press(scene, LAW, Poke(AT, dataclasses.replace(tip, slips=False), depth=0.003))
-    held = np.concatenate([scene.fixed, slips.touched])
-    pull = forces(scene, slips.position, held)[slips.touched]
+    pull = forces(scene, slips.position, np.concatenate([scene.fixed, slips.touched]))[slips.touched]
     assert np.abs(pull[:, :2]).max() < 0.02 * np.abs(pull[:, 2]).max()
     np.testing.assert_allclose(slips.position[slips.touched, 2], 0.027, atol=1e-12)
     assert 0.9 * sticks.reaction < slips.reaction < sticks.reaction
@@ -62,8 +60,7 @@ def test_particles_that_slip_are_pulled_at_by_nothing_sideways_and_lower_the_for
 def test_what_slips_is_found_at_once_where_rounds_would_end(scene: PokeSetup, lattice: bool) -> None:
     """The same state as slides of held particles come to, one after another; by lists of the clusters' members too."""
     if not lattice:
-        listed = clusters.Clusters(list(scene.clusters), len(scene.rest))
-        scene = dataclasses.replace(scene, clusters=listed)
+        scene = dataclasses.replace(scene, clusters=clusters.Clusters(list(scene.clusters), len(scene.rest)))
     touched = scene.open[np.abs(scene.rest[scene.open, :2] - 0.06).max(axis=1) < 0.0201]
     pushed = scene.rest[touched] - [0.0, 0.0, 0.003]
     laws = [LAW, Law(0.7, 0.0, 3), Law(0.2, 1.0, 3)]

@@ -240,8 +240,7 @@ def test_full_conservation_of_one_cluster_gives_it_the_rest_volume_in_both_modes
         goal = reference_states.goals(x, body, 1.0, 1.0, volume=volume)
         (cluster,) = body.clusters
         p = (goal - goal.mean(axis=0)) / cluster.radius
-        a = (p.T @ cluster.q_basis @ cluster.inverse)[:, :3]
-        assert np.linalg.det(a) == pytest.approx(1.0)
+        assert np.linalg.det((p.T @ cluster.q_basis @ cluster.inverse)[:, :3]) == pytest.approx(1.0)
     # nearer to where it is than the evenly scaled one
     away = [np.sum((reference_states.goals(x, body, 1.0, 1.0, volume=volume) - x) ** 2) for volume in modes]
     assert away[1] < away[0]

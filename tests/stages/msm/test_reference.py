@@ -110,8 +110,7 @@ def test_pull_to_the_goals_is_the_gradient_of_the_energy() -> None:
     """`reaction` against finite differences of E = 1/2 sum_c (1 - beta) |p - R q|^2 + beta |p - A q|^2."""
     rng = np.random.default_rng(5)
     rest = lattice((4, 3, 3), 1.0)
-    grouped = clusters.lattice(rest, (4, 3, 3), np.arange(36), 2)
-    body = reference.build_rest(rest, grouped, np.array([0]))
+    body = reference.build_rest(rest, clusters.lattice(rest, (4, 3, 3), np.arange(36), 2), np.array([0]))
     x = rest + rng.normal(0, 0.2, rest.shape)
     beta = 0.37
 
@@ -120,8 +119,7 @@ def test_pull_to_the_goals_is_the_gradient_of_the_energy() -> None:
         for c in body.clusters:
             p = (x[c.index] - x[c.index].mean(axis=0)) / c.radius
             a = p.T @ c.q @ c.inverse
-            r = reference_states.rotation(p.T @ c.q, float(np.sum(c.q**2)))
-            stiff = np.sum((p - c.q @ r.T) ** 2)
+            stiff = np.sum((p - c.q @ reference_states.rotation(p.T @ c.q, float(np.sum(c.q**2))).T) ** 2)
             soft = np.sum((p - c.q @ a.T) ** 2)
             total += 0.5 * c.radius**2 * ((1 - beta) * stiff + beta * soft)
         return float(total)

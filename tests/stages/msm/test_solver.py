@@ -128,8 +128,7 @@ def test_error_estimate_is_no_smaller_than_the_error(device: str) -> None:
         engine = Msm(body.rest, body.clusters(size), body.held, device=device)
         loose = engine.relax(body.held_position, beta, tolerance=1e-3)
         tight = engine.relax(body.held_position, beta, tolerance=1e-12)
-        error = np.sqrt(np.mean(np.sum((loose.position - tight.position) ** 2, axis=-1)))
-        assert error <= loose.error[0]
+        assert np.sqrt(np.mean(np.sum((loose.position - tight.position) ** 2, axis=-1))) <= loose.error[0]
 
 
 def test_candidates_of_one_launch_are_what_each_would_be_alone(device: str) -> None:
@@ -166,8 +165,7 @@ def test_runs_repeat_bit_for_bit(device: str, precision: Precision) -> None:
     for _ in range(2):
         engine = Msm(body.rest, body.clusters(3), body.held, precision=precision, device=device)
         relaxed = engine.relax(body.held_position, np.linspace(0, 0.99, 20)).position
-        stepped = engine.step(engine.start(3), body.held_position, [0.1, 0.5, 0.9], steps=50)
-        ends.append((relaxed, stepped))
+        ends.append((relaxed, engine.step(engine.start(3), body.held_position, [0.1, 0.5, 0.9], steps=50)))
     np.testing.assert_array_equal(ends[0][0], ends[1][0])
     np.testing.assert_array_equal(ends[0][1], ends[1][1])
 
@@ -251,8 +249,7 @@ def test_where_rotations_tie_one_of_the_best_is_taken(device: str) -> None:
     for squeeze in ([1.0, 0.0, 0.0], [-1.0, 1.0, 1.0], [-1.0, -1.0, -1.0], [0.0, 0.0, 0.0]):
         state = rest * squeeze
         expected = np.sum((reference_states.goals(state, spec, 0.0) - state) ** 2)
-        found = np.sum(engine.residual(state, 0.0)[0] ** 2)
-        assert found == pytest.approx(expected, rel=1e-9, abs=1e-18)
+        assert np.sum(engine.residual(state, 0.0)[0] ** 2) == pytest.approx(expected, rel=1e-9, abs=1e-18)
 
 
 def test_a_rod_turns_without_resistance(device: str) -> None:
@@ -336,8 +333,7 @@ def test_divergence_is_reported_and_never_shown_as_a_result(device: str, effort:
     held = np.concatenate([low, high])
     position = rest[held].copy()
     position[len(low) :, 2] *= 0.7
-    grouped = clusters.lattice(rest, shape, np.arange(len(rest)), 3)
-    engine = Msm(rest, grouped, held, device=device)
+    engine = Msm(rest, clusters.lattice(rest, shape, np.arange(len(rest)), 3), held, device=device)
     state = engine.relax(position, 0.99, np.array([0.0, 0.5, 1.0]), max_iterations=300)
     left = np.abs(engine.residual(state.position, 0.99, np.array([0.0, 0.5, 1.0]))).max(axis=(1, 2))
     assert np.isfinite(state.position).all()

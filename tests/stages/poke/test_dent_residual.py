@@ -27,8 +27,7 @@ def test_a_residual_that_pokes_have_in_common_comes_back_under_another_tip() -> 
     other = left(Tip("flat", (0.04, 0.02)), 9)
     again = found.at(other.points, other.middle, other.tip, DEPTH)
     assert np.sqrt(np.mean((again - other.left) ** 2)) < 0.05 * np.sqrt(np.mean(other.left**2))
-    doubled = found.at(other.points, other.middle, other.tip, 2.0 * DEPTH)
-    np.testing.assert_allclose(doubled, 2.0 * again)
+    np.testing.assert_allclose(found.at(other.points, other.middle, other.tip, 2.0 * DEPTH), 2.0 * again)
 
 
 def test_it_points_away_from_the_tip_and_ends_where_nothing_was_seen() -> None:
@@ -43,7 +42,6 @@ def test_it_points_away_from_the_tip_and_ends_where_nothing_was_seen() -> None:
 def test_few_points_say_little_and_a_ball_nothing() -> None:
     tip = Tip("flat", (0.02, 0.02))
     one = left(tip, 1, count=1, noise=1e-3)
-    alone = residual_of([one], THICKNESS)
-    said = np.linalg.norm(alone.at(one.points, one.middle, tip, DEPTH))
+    said = np.linalg.norm(residual_of([one], THICKNESS).at(one.points, one.middle, tip, DEPTH))
     assert said < 0.5 * np.linalg.norm(one.left)
     assert residual_of([dataclasses.replace(one, tip=Tip("sphere", (0.02,)))], THICKNESS) is None

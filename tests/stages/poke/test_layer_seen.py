@@ -41,8 +41,7 @@ def test_stated_thickness_is_that_of_a_level_surface_and_the_seen_one_counts_whe
 
 
 def test_thickness_that_nobody_stated_is_taken_from_the_table_or_is_not_known() -> None:
-    table = TableSeen(-0.004, 0.001)
-    assert known_layer(LEVEL, table, stated_m=None).thickness_m == pytest.approx(0.054)
+    assert known_layer(LEVEL, TableSeen(-0.004, 0.001), stated_m=None).thickness_m == pytest.approx(0.054)
     assert known_layer(LEVEL, None, stated_m=None) == KnownLayer(None)
     assert known_layer(np.full(9, 0.001), TableSeen(0.0, 0.001), stated_m=None) == KnownLayer(None)
 

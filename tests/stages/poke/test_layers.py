@@ -67,8 +67,7 @@ def test_a_surface_with_a_notch_has_no_material_there_only_where_its_hull_ends()
 
 def test_values_between_columns_are_bilinear_and_beyond_them_are_reported() -> None:
     layers = below(MeasuredSurface(surface_points(), 0.03), spacing=0.01)
-    rng = np.random.default_rng(1)
-    place = rng.uniform([0.0, 0.0], [0.2, 0.12], (50, 2))
+    place = np.random.default_rng(1).uniform([0.0, 0.0], [0.2, 0.12], (50, 2))
     weights, inside = layers.interpolation(np.vstack([place, [[0.25, 0.05], [-0.01, 0.02]]]))
     x, y = layers.rest[:, 0], layers.rest[:, 1]
     found = weights @ (1.0 + 2.0 * x - 3.0 * y + 40.0 * x * y)

@@ -69,8 +69,7 @@ def test_any_range_with_any_best_value_has_a_posterior_over_that_range(
     ends: tuple[float, float], share: float, slope: float
 ) -> None:
     low, high = min(ends), max(ends)
-    best = float(np.clip(low + share * (high - low), low, high))
-    profile = Profile(fit_of(best, (low, high), slope))
+    profile = Profile(fit_of(float(np.clip(low + share * (high - low), low, high)), (low, high), slope))
     assert np.all(np.diff(profile.stretched) > 1e-9)
     assert np.all((low <= profile.beta) & (profile.beta <= high))
     posterior, rise = profile.posterior()
@@ -94,8 +93,7 @@ def test_values_beside_keep_off_the_ends() -> None:
         neighbouring_values(1.0, 0.0, 3.0), 1.0 + np.array([-0.9, -0.45, -0.2, 0.0, 0.2, 0.45, 0.9])
     )
     for at in (0.45, 0.45 + 1e-15, 2.1 - 1e-12):
-        values = neighbouring_values(at, 0.0, 2.3)
-        assert np.diff(values).min() > 0.009
+        assert np.diff(neighbouring_values(at, 0.0, 2.3)).min() > 0.009
     np.testing.assert_array_equal(neighbouring_values(0.5, 0.4999, 0.5001)[[0, -1]], [0.4999, 0.5001])
 
 
@@ -126,8 +124,7 @@ def test_an_interval_from_beta_0_on_does_not_hang_on_rounding() -> None:
     for precision in PRECISIONS:
         fit = fit_pokes(surface(), [seen], spacing=SPACING, cluster_sizes=[3], precision=precision)
         assert fit.best.law.beta < 1e-3
-        nearer = dataclasses.replace(fit.best, law=Law(5e-7, 1.0, 3))
-        fit = dataclasses.replace(fit, tried=(nearer,))
+        fit = dataclasses.replace(fit, tried=(dataclasses.replace(fit.best, law=Law(5e-7, 1.0, 3)),))
         ends.append(conclude(fit, level=0.9, settings={}, provenance={}).estimate.interval)
     assert 0.01 < ends[1][1] < 0.6
     assert ends[0] == pytest.approx(ends[1], rel=0.02, abs=1e-3)

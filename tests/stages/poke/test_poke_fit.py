@@ -68,8 +68,7 @@ def test_each_poke_has_its_stiffness_and_the_field_is_judged_by_pokes_left_out()
     soft = [(0.04, 0.05), (0.06, 0.08), (0.04, 0.08), (0.04, 0.11), (0.06, 0.12)]
     stiff = [(0.12, 0.05), (0.14, 0.06), (0.14, 0.09), (0.12, 0.10), (0.14, 0.12)]
     seen = [poked(one, stiffness=40.0) for one in soft] + [poked(one, stiffness=90.0) for one in stiff]
-    found = fit(*seen, cluster_sizes=[3])
-    reported = conclude(found, level=0.9, settings={}, provenance={})
+    reported = conclude(fit(*seen, cluster_sizes=[3]), level=0.9, settings={}, provenance={})
     np.testing.assert_allclose(reported.model.stiffness, [40.0] * 5 + [90.0] * 5, rtol=0.02)
     assert reported.model.field_kind == "materials"
     beside = Poke(np.array([0.15, 0.05, 0.03]), Tip("flat", (0.02, 0.02)), depth=1e-3)
@@ -85,8 +84,7 @@ def test_each_poke_has_its_stiffness_and_the_field_is_judged_by_pokes_left_out()
 def test_the_interval_holds_the_truth_under_noise_and_shrinks_with_it() -> None:
     widths = []
     for noise in (2e-5, 1e-4):
-        seen = poked((0.09, 0.08), noise=noise, seed=3)
-        found = fit(seen, cluster_sizes=[3])
+        found = fit(poked((0.09, 0.08), noise=noise, seed=3), cluster_sizes=[3])
         reported = conclude(found, level=0.9, settings={}, provenance={}).estimate
         low, high = reported.interval
         assert low <= LAW.beta <= high

@@ -91,8 +91,7 @@ def test_a_level_is_met_by_a_narrower_or_wider_interval(halves: StiffnessField) 
 def test_a_stiff_inclusion_under_three_of_twelve_pokes_is_believed(seed: int) -> None:
     rng = np.random.default_rng(seed)
     at = grid() + rng.uniform(-0.01, 0.01, (12, 2))
-    centre = rng.uniform([0.12, 0.1], [0.28, 0.2])
-    stiff = np.argsort(np.linalg.norm(at - centre, axis=1))[:3]
+    stiff = np.argsort(np.linalg.norm(at - rng.uniform([0.12, 0.1], [0.28, 0.2]), axis=1))[:3]
     stiffness = 20.0 * np.exp(rng.normal(0.0, 0.03, 12))
     stiffness[stiff] *= rng.uniform(3.4, 5.8, 3)
     field = fit_field(at, stiffness, TIP)
@@ -100,8 +99,7 @@ def test_a_stiff_inclusion_under_three_of_twelve_pokes_is_believed(seed: int) ->
     assert np.abs(np.log(field.at(at) / stiffness)).max() < 0.35
     low, high = field.interval(at[stiff].mean(axis=0)[None])[0]
     assert high > 3.4 * 20.0
-    soft = np.setdiff1d(np.arange(12), stiff)
-    low, high = field.interval(at[soft]).T
+    low, high = field.interval(at[np.setdiff1d(np.arange(12), stiff)]).T
     assert np.median(high / low) < 1.4
 
 
@@ -133,8 +131,7 @@ def test_scatter_from_poke_to_poke_is_learned() -> None:
     at = places(16, 1)
     widths = []
     for scatter in (0.02, 0.1):
-        noise = np.random.default_rng(2).normal(0.0, scatter, 16)
-        field = fit_field(at, 20.0 * np.exp(noise), TIP)
+        field = fit_field(at, 20.0 * np.exp(np.random.default_rng(2).normal(0.0, scatter, 16)), TIP)
         assert field.kind == "uniform"
         low, high = field.interval(np.array([[0.3, 0.2]]))[0]
         widths.append(np.log(high / low))

@@ -59,8 +59,7 @@ def test_a_contact_s_shares_are_the_map_blurred(regions: int) -> None:
 
 @pytest.mark.parametrize("family", list(Family))
 def test_distance_is_zero_where_the_label_changes_and_has_its_length_near_by(family: Family) -> None:
-    rng = np.random.default_rng(2)
-    latent = rng.standard_normal((40, 2, LATENTS))
+    latent = np.random.default_rng(2).standard_normal((40, 2, LATENTS))
     maps = Partitions(2, SIZE, np.full((40, 2), family), latent, np.zeros(40, dtype=bool), np.tile([0, 1], (40, 1)))
     maps = maps.take(maps.admissible())
     y = np.full(2401, 0.21)
@@ -91,8 +90,7 @@ def test_moves_leave_the_prior_as_it_is(regions: int) -> None:
 
 def test_a_ring_has_its_blob_s_border_and_a_hole() -> None:
     """The same numbers as another family: the blob less its middle."""
-    rng = np.random.default_rng(4)
-    latent = rng.standard_normal((40, 2, LATENTS))
+    latent = np.random.default_rng(4).standard_normal((40, 2, LATENTS))
     grid = MapGrid(SIZE, 0.005)
     blob, ring = (
         Partitions(

@@ -191,8 +191,7 @@ def test_maps_of_more_regions_count_where_each_is_met() -> None:
     """Their evidence is that of very many prior maps, those that the touches do not meet every region of left out."""
     seen, prior = quadrants()[:6], RegionPrior()
     readings = levels.readings_of(seen, prior)
-    maps = draw(np.random.default_rng(98), 4, GRID.size_m, 40_000)
-    shares = maps.shares(readings.xy_m, prior.blur_m)
+    shares = draw(np.random.default_rng(98), 4, GRID.size_m, 40_000).shares(readings.xy_m, prior.blur_m)
     plain = levels.log_likelihood_of(shares, readings, prior)
     met = shares.sum(axis=1).min(axis=1) >= 0.5
     expected = np.log(np.mean(np.exp(plain - plain.max()) * met)) + plain.max()
@@ -216,8 +215,7 @@ def test_more_regions_than_are_told_apart_are_named() -> None:
     shown = functools.reduce(RegionPosterior.with_touch, quadrants(), nothing).region_map()
     assert (shown.region_count, shown.at_least) == (3, True)
     assert set(shown.probability) == {"1", "2", "3", "gradual"}
-    some = {"1": 0.01, "2": 0.04, "3": 0.5, "4": 0.3, "5": 0.1, "gradual": 0.05}
-    shown = replace(shown, probability=some)
+    shown = replace(shown, probability={"1": 0.01, "2": 0.04, "3": 0.5, "4": 0.3, "5": 0.1, "gradual": 0.05})
     assert shown.claimed == pytest.approx(0.9)
     assert replace(shown, region_count=2).claimed == 0.04
     assert replace(shown, region_count=0, verdict="gradual").claimed == 0.05
@@ -272,8 +270,7 @@ def test_a_slope_is_called_gradual_and_its_field_followed(seed: int) -> None:
 
 def test_a_single_touch_between_two_levels_is_no_region() -> None:
     values = 0.9 * (np.array(SPREAD)[:, 0] > 0.29) - 0.45 * (np.arange(8) == 4)
-    shown = posterior(touches(values)).region_map()
-    assert shown.region_count == 2
+    assert posterior(touches(values)).region_map().region_count == 2
 
 
 def test_rigid_touches_make_a_region_whose_level_is_a_bound() -> None:
@@ -406,8 +403,7 @@ def test_maps_that_are_kept_weigh_what_they_did_and_no_family_dies_out() -> None
         assert np.exp(logs[here]).sum() == pytest.approx(expected)
         # each as often as its weight in the family says, to within one
         wanted = np.exp(log_weight[family == kind]) / expected * here.sum()
-        times = np.bincount(kept[here], minlength=1000)[family == kind]
-        assert np.abs(times - wanted).max() <= 1.0
+        assert np.abs(np.bincount(kept[here], minlength=1000)[family == kind] - wanted).max() <= 1.0
     rings = np.sum(family[kept] == Family.RING)
     assert rings / np.sum(family[kept] == Family.LINE) == pytest.approx(np.cbrt(share[Family.RING]), rel=0.2)
     assert not np.any(family[kept] == Family.BLOB)

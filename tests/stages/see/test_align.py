@@ -48,8 +48,7 @@ def seen(solids: tuple[PosedSolid, ...], noise_m: float) -> FloatArray:
 
 def displacement(seed: int) -> FloatArray:
     """5 mm and 1 degree about what is 0.8 m away."""
-    random = np.random.default_rng(seed)
-    shift, axis = (one / np.linalg.norm(one) for one in random.standard_normal((2, 3)))
+    shift, axis = (one / np.linalg.norm(one) for one in np.random.default_rng(seed).standard_normal((2, 3)))
     turn, eye = Rotation.from_rotvec(np.radians(1.0) * axis).as_matrix(), np.array([0.0, -0.6, 0.6])
     return transform(turn, eye - turn @ eye + 0.005 * shift)
 

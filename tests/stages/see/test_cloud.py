@@ -70,8 +70,7 @@ def test_lone_points_go_and_a_surface_stays() -> None:
 
 
 def test_one_point_a_cell_is_the_mean_of_its_points() -> None:
-    rng = np.random.default_rng(1)
-    points = rng.uniform(-0.05, 0.05, size=(500, 3))
+    points = np.random.default_rng(1).uniform(-0.05, 0.05, size=(500, 3))
     reduced, count, place = reduce_to_grid(points, 0.01)
     np.testing.assert_array_equal(np.bincount(place), count)
     np.testing.assert_allclose(points[place == 3].mean(axis=0), reduced[3])
@@ -91,8 +90,7 @@ def test_links_take_exactly_the_points_of_the_arm() -> None:
     points = rng.uniform([0.25, 0.15, -0.05], [0.35, 0.3, 0.35], size=(5000, 3))
     fine = link.start_m + np.linspace(0, 1, 4001)[:, None] * (link.end_m - link.start_m)
     away = np.min([np.linalg.norm(points - one, axis=1) for one in fine], axis=0)
-    outside = outside_capsules(points, [link], margin_m=0.005)
-    np.testing.assert_array_equal(outside, away > 0.017)
+    np.testing.assert_array_equal(outside_capsules(points, [link], margin_m=0.005), away > 0.017)
     ball = Capsule(np.zeros(3), np.zeros(3), 0.01)
     assert outside_capsules(np.array([[0.0, 0.0, 0.016], [0.0, 0.0, 0.014]]), [ball], margin_m=0.005).tolist() == [
         True,

@@ -26,8 +26,7 @@ def picture(seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 def test_each_pixel_has_the_label_of_the_rule_that_took_it_out() -> None:
     depth, T = picture(0)
-    robot = PosedRobot([STICK], margin_m=0.005)
-    found = perceive(depth, CAMERA, T, BOX, robot=robot)
+    found = perceive(depth, CAMERA, T, BOX, robot=PosedRobot([STICK], margin_m=0.005))
     seen = measured(depth)
     points = back_project(depth, CAMERA, T)
     label = found.label[seen]

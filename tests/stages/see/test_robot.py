@@ -18,8 +18,7 @@ def test_solids_take_the_points_within_their_margin_wherever_they_are() -> None:
     points = np.random.default_rng(1).uniform((0.0, 0.1, 0.2), (0.25, 0.3, 0.4), (20_000, 3))
     away = np.linalg.norm(points[:, None] - middles, axis=2).min(axis=1)
     sure = np.abs(away - 0.04) > 1e-4  # a ball of flat triangles
-    outside = outside_solids(points, posed, margin_m=0.01)
-    np.testing.assert_array_equal(outside[sure], (away > 0.04)[sure])
+    np.testing.assert_array_equal(outside_solids(points, posed, margin_m=0.01)[sure], (away > 0.04)[sure])
     assert outside_solids(points, [], margin_m=0.01).all()
     assert outside_solids(np.zeros((0, 3)), posed, margin_m=0.01).shape == (0,)
 
@@ -30,8 +29,7 @@ def test_jumps_reach_as_far_as_pixels_are_mixed() -> None:
     depth[:, 5] = 0.0  # saw nothing: no jump
     columns = np.flatnonzero(at_jumps(depth).any(axis=0))
     np.testing.assert_array_equal(columns, np.arange(20 - EDGE_PX, 20 + EDGE_PX))
-    slope = np.broadcast_to(0.6 + 0.003 * np.arange(40), (20, 40))
-    assert not at_jumps(slope).any()
+    assert not at_jumps(np.broadcast_to(0.6 + 0.003 * np.arange(40), (20, 40))).any()
 
 
 def test_what_hangs_above_the_surface_goes_and_what_stands_on_it_stays() -> None:

@@ -30,8 +30,7 @@ def test_one_texel_is_where_it_is() -> None:
 def test_two_texels_balance_like_weights() -> None:
     pressure = np.zeros((1, 5))
     pressure[0, 0], pressure[0, 4] = 300.0, 100.0
-    found = tactile_contact([pressure], [(1.0, 1.0)])
-    np.testing.assert_allclose(found.center_m, [[0.5 + 4 * 0.25, 0.5]])
+    np.testing.assert_allclose(tactile_contact([pressure], [(1.0, 1.0)]).center_m, [[0.5 + 4 * 0.25, 0.5]])
 
 
 def test_pads_are_apart_and_noise_is_no_contact() -> None:

@@ -40,8 +40,7 @@ def test_a_picture_of_the_board_gives_its_corners_and_pose() -> None:
     image = cv2.warpPerspective(flat, CAMERA @ np.column_stack([T[:3, :2], T[:3, 3]]) @ onto_board, SIZE_PX)
     seen = find_board(image, BOARD)
     assert len(seen.number) == 24
-    pose = board_pose(seen, FOCAL_PX, CENTER_PX, (), BOARD)
-    assert pose == pytest.approx(T, abs=2e-3)
+    assert board_pose(seen, FOCAL_PX, CENTER_PX, (), BOARD) == pytest.approx(T, abs=2e-3)
     assert find_board(np.full((480, 640, 3), 90, np.uint8), BOARD) is None
 
 
@@ -79,6 +78,5 @@ def test_camera_and_lens_together_are_inside_their_intervals(draws: int) -> None
         seen = [projected(view, 0.15, random) for view in views]
         found = camera_from_views(np.array(arm), seen, SIZE_PX, BOARD)
         hits += np.abs(found.mount.T_arm_camera.deviation(X)) <= found.mount.T_arm_camera.half()
-        in_view_m = (X @ views[0])[:3, 3]
-        assert doubt_at(found.mount.T_arm_camera, in_view_m) < 0.015
+        assert doubt_at(found.mount.T_arm_camera, (X @ views[0])[:3, 3]) < 0.015
     assert hits.mean() >= 0.75 * draws, hits

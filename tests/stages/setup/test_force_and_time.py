@@ -72,8 +72,7 @@ def test_a_load_that_does_not_say_the_gain_is_refused(felt_n: float, load_n: flo
 
 def test_pushes_that_do_not_say_how_it_sits_are_refused() -> None:
     random = np.random.default_rng(2)
-    R = sitting(0.4, mirrored=False, upside_down=False)
-    felt = pushes(R, 0.02, random)
+    felt = pushes(sitting(0.4, mirrored=False, upside_down=False), 0.02, random)
     contradicting = felt.copy()
     contradicting[-1] *= -1.0
     with pytest.raises(InputError, match=r"one axis alone.*push \+x as well"):

@@ -62,8 +62,7 @@ def test_components_from_inner_products_are_those_from_columns() -> None:
 
 
 def test_what_was_not_measured_becomes_the_mean_of_the_training_side() -> None:
-    train = np.array([[1.0, 5.0], [3.0, np.nan], [np.nan, 7.0]])
-    scaling = fit_scaling(train)
+    scaling = fit_scaling(np.array([[1.0, 5.0], [3.0, np.nan], [np.nan, 7.0]]))
     np.testing.assert_allclose(scaling.mean, [2.0, 6.0])
     np.testing.assert_allclose(scaling.apply(np.array([[np.nan, 8.0]])), [[0.0, 2.0]])
 
@@ -98,13 +97,11 @@ def test_the_pipelines_are_scikit_learns_with_the_same_shrinkage(name: str, colu
     inside = np.tile(np.arange(25) < 15, 3)
     train, truth, test = x[inside], y[inside], x[~inside]
     scaling = fit_scaling(train)
-    space = project(scaling.apply(train), scaling.apply(test))
-    one, other = space.few
+    one, other = project(scaling.apply(train), scaling.apply(test)).few
 
     reduction = make_pipeline(StandardScaler(), PCA(0.8, svd_solver="full")).fit(train)
     theirs_one, theirs_other = reduction.transform(train), reduction.transform(test)
-    signs = np.sign((one * theirs_one).sum(axis=0))
-    np.testing.assert_allclose(other, signs * theirs_other, atol=1e-9)
+    np.testing.assert_allclose(other, np.sign((one * theirs_one).sum(axis=0)) * theirs_other, atol=1e-9)
     even = np.full(3, 1 / 3)
     if name == "knn":
         ours = Neighbours(one, truth, 5, 3).log_posterior(other)

@@ -42,8 +42,7 @@ def test_its_place_and_size_are_found_within_what_is_claimed(shape: ContainerSha
     for seed in range(6):
         T = pose(*random.uniform(-0.08, 0.08, 2), random.uniform(-180.0, 180.0), shape)
         found = matches(find_container(points(shape, T, seed, noise), shape.kind), size)
-        off = np.abs(found.center_m - T[:3, 3])
-        assert (off < 4.0 * np.append(found.deviation_m[:2], 1e-3)).all()
+        assert (np.abs(found.center_m - T[:3, 3]) < 4.0 * np.append(found.deviation_m[:2], 1e-3)).all()
         assert found.deviation_m[:2].max() < 0.002
         np.testing.assert_allclose(found.size_m, size, atol=0.003)
         assert np.linalg.norm(found.lean_rad) < 0.03

@@ -27,8 +27,7 @@ def test_wilson_is_as_published() -> None:
 
 
 def test_splits_that_share_trials_widen_the_interval() -> None:
-    values = np.array([0.7, 0.8, 0.9, 0.8])
-    found = over_splits(values, 3 / 7, 0.9)
+    found = over_splits(np.array([0.7, 0.8, 0.9, 0.8]), 3 / 7, 0.9)
     # By hand: variance 0.02 / 3, times 1 / 4 + 3 / 7.
     half = stats.t.ppf(0.95, 3) * np.sqrt(0.02 / 3 * (0.25 + 3 / 7))
     assert found.value == pytest.approx(0.8)
@@ -123,8 +122,7 @@ def test_lilliefors_has_the_published_critical_values() -> None:
 
 
 def test_what_is_not_normal_is_recognised() -> None:
-    rng = np.random.default_rng(0)
-    assert lilliefors(rng.exponential(size=100))[1] < 0.001
+    assert lilliefors(np.random.default_rng(0).exponential(size=100))[1] < 0.001
     assert np.isnan(lilliefors(np.array([1.0, 2.0, 3.0]))[1])
     assert np.isnan(lilliefors(np.ones(10))[1])
 

@@ -17,8 +17,7 @@ def test_seventy_and_thirty_percent_without_a_trial_on_both_sides(protocol: str)
     for split in splits:
         assert sorted([*split.train, *split.test]) == list(range(120))
     assert np.mean([len(split.test) for split in splits]) == pytest.approx(36, abs=0.5)
-    tested = np.concatenate([split.test for split in splits])
-    assert np.unique(tested).size == 120
+    assert np.unique(np.concatenate([split.test for split in splits])).size == 120
     again = draw(protocol, table, 20, 0)  # type: ignore[arg-type]
     assert all(np.array_equal(one.test, other.test) for one, other in zip(splits, again, strict=True))
 

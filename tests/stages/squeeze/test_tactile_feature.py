@@ -20,7 +20,6 @@ def test_an_array_without_36_cells_is_refused() -> None:
 
 
 def test_a_series_has_the_newest_features_every_tenth_of_a_second() -> None:
-    time_s = np.array([0.0, 0.04, 0.08, 0.12, 0.16, 0.25])
-    found_s, found = series_of(time_s, np.arange(6.0)[:, None])
+    found_s, found = series_of(np.array([0.0, 0.04, 0.08, 0.12, 0.16, 0.25]), np.arange(6.0)[:, None])
     np.testing.assert_allclose(found_s, [0.0, 0.1, 0.2])
     np.testing.assert_array_equal(found[:, 0], [0.0, 2.0, 4.0])

@@ -40,6 +40,5 @@ def test_vision_is_best_for_water_where_it_is(blind: bool) -> None:
 def test_neighbours_in_hardness_are_confused_by_touch() -> None:
     ours = [one.ours for one in compare_findings(*evaluated(blind=True))]
     neighbours = next(words for words in ours if "name a neighbour" in words)
-    share = float(neighbours.split("%")[0].removeprefix("By touch "))
-    assert share > 70.0
+    assert float(neighbours.split("%")[0].removeprefix("By touch ")) > 70.0
     assert any(words.startswith("tactile+vision, knn over tactile, knn: loses") for words in ours)

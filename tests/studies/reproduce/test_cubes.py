@@ -159,8 +159,7 @@ def test_a_pair_without_a_possible_ratio_is_refused() -> None:
 
 
 def test_points_without_a_lattice_and_boxes_have_a_name_too() -> None:
-    rng = np.random.default_rng(0)
-    rest = rng.uniform(0.0, 0.1, (60, 3))
+    rest = np.random.default_rng(0).uniform(0.0, 0.1, (60, 3))
     held = np.flatnonzero((rest[:, 2] < 0.02) | (rest[:, 2] > 0.08))
     deformed = rest * [1.02, 1.02, 0.9]
     cloud = Cube(Observation(rest, deformed, held, np.ones(60, dtype=bool)), 0.2, 0.01, "cloud")
