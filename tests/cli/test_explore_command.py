@@ -363,18 +363,6 @@ def test_ctrl_c_stops_the_arm_and_keeps_all(number: int, status: int, tmp_path: 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("quick_scene")
-def test_a_second_ctrl_c_leaves_at_once(tmp_path: Path, capsys: Capture, monkeypatch: Patch) -> None:
-    """Slow: test_explore_ends.py has it without devices."""
-    monkeypatch.setattr(TouchingRobot, "_begin", interrupted_at(Phase.APPROACH, signal.SIGINT, signal.SIGINT))
-    record = tmp_path / "e.rrd"
-    assert main(["explore", "lab:two-60-150", *STOPPED, "--record", str(record)]) == 130
-    assert "interrupted" in capsys.readouterr().err
-    assert not record.exists()
-    assert list(tmp_path.glob("*.part.rrd"))
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("quick_scene")
 def test_a_full_disk_halts_the_arm_first(tmp_path: Path, capsys: Capture, monkeypatch: Patch) -> None:
     began: list[Phase] = []
     stopped: list[str] = []

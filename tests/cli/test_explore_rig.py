@@ -71,14 +71,6 @@ def explored_recorded_and_replayed(rig: Path, tmp_path: Path, capsys: Capture, m
     assert main(["replay", str(record)]) == 0, capsys.readouterr().err
 
 
-@pytest.mark.slow  # test_explore_arms.py has the way of a rig, test_explore_command.py this arm
-@pytest.mark.usefixtures("simulated_clock")
-def test_a_rig_of_doubles_is_explored_recorded_and_replayed(
-    rig: Path, tmp_path: Path, capsys: Capture, monkeypatch: Patch
-) -> None:
-    explored_recorded_and_replayed(rig, tmp_path, capsys, monkeypatch)
-
-
 @pytest.mark.slow
 @pytest.mark.usefixtures("simulated_clock")
 def test_with_clocks_apart_it_is_explored_recorded_and_replayed(

@@ -155,27 +155,6 @@ def test_ctrl_c_ends_a_recording_cleanly(rig: Path, tmp_path: Path, started: lis
     assert verify_here(tmp_path / "r.rrd") in WHOLE
 
 
-@pytest.mark.slow
-def test_what_was_written_before_a_kill_is_readable(
-    rig: Path, tmp_path: Path, started: list[subprocess.Popen[str]], capsys: Capture
-) -> None:
-    """Slow: test_recorder.py has it for the recorder alone."""
-    process = start(started, "record", rig, "--record", "r.rrd", cwd=tmp_path)
-    wait_for(process.stderr, "Ctrl-C ends it")
-    (part,) = tmp_path.glob("*.part.rrd")
-    until, written = time.monotonic() + PATIENCE_S, part.stat().st_size
-    while part.stat().st_size < written + 300_000 and time.monotonic() < until:
-        time.sleep(0.02)
-    process.kill()
-    process.wait(PATIENCE_S)
-    frames = [item for item in read_items(part) if isinstance(item, WrenchFrame)]
-    assert not (tmp_path / "r.rrd").exists()
-    assert len(frames) > 100
-    assert [frame.index for frame in frames] == list(range(len(frames)))
-    assert main(["verify", str(part)]) != 0
-    assert "cut short" in capsys.readouterr().err
-
-
 @pytest.mark.slow  # two processes on doubles
 def test_two_recordings_of_one_device_do_not_mix(
     tmp_path: Path, started: list[subprocess.Popen[str]], capsys: Capture
@@ -340,15 +319,3 @@ def test_a_rig_that_is_ended_early_says_so(rig: Path, tmp_path: Path, capsys: Ca
     assert main([*command, "--seconds", "60"]) == 128 + signal.SIGINT
     assert main(command) in WHOLE, "Ctrl-C is the end of a recording that has no other"
 
-
-@pytest.mark.slow
-def test_a_closed_terminal_ends_a_recording_cleanly(
-    rig: Path, tmp_path: Path, started: list[subprocess.Popen[str]]
-) -> None:
-    """Slow: other signals end it in this process above."""
-    recording = tmp_path / "r.rrd"
-    process = start(started, "record", rig, "--record", recording, cwd=tmp_path)
-    wait_for(process.stderr, "Ctrl-C ends it")
-    process.send_signal(signal.SIGHUP)
-    assert process.wait(PATIENCE_S) == 128 + signal.SIGHUP
-    assert check_recording(recording).problems == []

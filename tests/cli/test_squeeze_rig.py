@@ -137,16 +137,6 @@ def test_a_hand_that_is_lost_while_it_squeezes(rig: Path, capsys: Capture, monke
     kept_as_discarded(made[0], found, "hand lost", EXIT_LOSSES)
 
 
-@pytest.mark.slow  # the next one shows the same with a Ctrl-C on top
-def test_a_saturated_texel_while_it_squeezes(rig: Path, capsys: Capture, monkeypatch: Patch) -> None:
-    rig.write_text(rig.read_text() + "saturation_counts = 60\n")
-    made = use_simulated_squeeze_rigs(monkeypatch)
-    status, found = squeeze(rig, "--dataset", "d")
-    assert status == 2
-    assert "tactile array saturated" in capsys.readouterr().err
-    kept_as_discarded(made[0], found, "tactile array saturated: a texel at ")
-
-
 def test_arrays_that_read_nothing_while_something_holds_the_fingers(
     rig: Path, capsys: Capture, monkeypatch: Patch
 ) -> None:

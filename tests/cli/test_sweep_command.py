@@ -135,17 +135,6 @@ def test_other_settings_are_other_tasks_and_a_moved_file_is_none(
     )
 
 
-@pytest.mark.slow  # the next test has such a file, too
-@pytest.mark.usefixtures("here")
-def test_files_that_are_written_have_a_name_for_each_task(tmp_path: Path) -> None:
-    shutil.copy(PAIR, tmp_path / "a.npz")
-    out = tmp_path / "out"
-    status, _ = sweep(tmp_path, out, "--send", command=[*FIT, "--save", "{key}.npz"])
-    (written,) = (out / "files").iterdir()
-    assert status == 0
-    assert written.stem == pq.read_table(out / "results.parquet")["key"][0].as_py()
-
-
 @pytest.mark.usefixtures("here")
 def test_files_that_a_killed_worker_left_are_made_anew(tmp_path: Path) -> None:
     shutil.copy(PAIR, tmp_path / "a.npz")
@@ -153,6 +142,7 @@ def test_files_that_a_killed_worker_left_are_made_anew(tmp_path: Path) -> None:
     command = [*FIT, "--save", "{key}.npz"]
     assert sweep(tmp_path, out, "--match", "a.npz", command=command)[0] == 0
     (written,) = (out / "files").iterdir()
+    assert written.stem == pq.read_table(out / "results.parquet")["key"][0].as_py()
     written.with_suffix(".rrd").write_text("left")
     (out / "tasks.jsonl").write_text("")
     assert sweep(tmp_path, out, "--match", "a.npz", command=command)[0] == 0
@@ -276,7 +266,9 @@ ds.sweep(spread, Path(sys.argv[1]), out=sys.argv[2], workers=2, scale=2.0, progr
 """
 
 
-def killed_and_equal(tmp_path: Path, count: int, monkeypatch: Patch) -> None:
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [80, 1000])
+def test_a_sweep_that_is_killed_three_times_computes_each_once(tmp_path: Path, count: int, monkeypatch: Patch) -> None:
     """Killed by -9 three times: each is in the journal once, and equal to what one process computes."""
     folder, out, traces = generated(tmp_path / "in", count), tmp_path / "out", tmp_path / "traces"
     traces.mkdir()
@@ -300,17 +292,6 @@ def killed_and_equal(tmp_path: Path, count: int, monkeypatch: Patch) -> None:
     assert {line["source"]: line["result"] for line in lines} == alone
     rows = pq.read_table(out / "results.parquet").to_pylist()
     assert {row["source"]: {"mean": row["mean"], "spread": row["spread"]} for row in rows} == alone
-
-
-@pytest.mark.slow
-def test_a_sweep_that_is_killed_three_times_computes_each_once(tmp_path: Path, monkeypatch: Patch) -> None:
-    killed_and_equal(tmp_path, 80, monkeypatch)
-
-
-@pytest.mark.slow
-def test_a_sweep_of_a_thousand_that_is_killed_three_times(tmp_path: Path, monkeypatch: Patch) -> None:
-    """Slow: a thousand files."""
-    killed_and_equal(tmp_path, 1000, monkeypatch)
 
 
 @pytest.mark.usefixtures("here")

@@ -243,12 +243,6 @@ def test_it_stops_for_a_reason_and_says_why_it_goes_where(two: Explored) -> None
         assert not plan.excluded[row, column]  # type: ignore[attr-defined]
 
 
-@pytest.mark.slow  # twice what others do once; replay proves the same
-def test_the_same_seed_gives_the_same_map(two: Explored) -> None:
-    _, again = explored("two-60-150", budget=4)
-    assert all(same(a, b) for a, b in zip(of(MapEstimate, two[1]), of(MapEstimate, again), strict=True))
-
-
 def test_what_was_recorded_gives_the_same_results_to_the_last_bit(two: Explored) -> None:
     """Plans among them, and from a row of a recording as from the robot."""
     before, moments = two
