@@ -143,8 +143,6 @@ def test_the_readme_typed_block_by_block(kind: str, body: str, shell: Any) -> No
             assert done.stdout.splitlines()[-2:] == [one[2:] for one in body.splitlines() if one.startswith("# ")]
 
 
-# The comparison ------------------------------------------------------------------------------------------------------
-
 TABLE = ["lab:table", "  verdict    2 regions", "  region 1   0.418 N/mm (0.387 to 0.451)", "  time       152 s"]
 
 

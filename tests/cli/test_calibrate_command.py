@@ -83,9 +83,6 @@ def failure(arguments: list[str], capsys: Capture) -> str:
     return shown.err
 
 
-# What comes out ------------------------------------------------------------------------------------------------------
-
-
 def test_pair_json_is_the_public_contract(pair: Path, capsys: Capture) -> None:
     found = run_json(["calibrate", "beta", str(pair), "--cluster-size", "3"], capsys)
     assert found["parameter"] == "beta"
@@ -174,9 +171,6 @@ def test_flags_of_a_whole_motion_that_cannot_be(frames: Path, pair: Path, capsys
     moving = ["calibrate", "beta", str(frames), "--whole-motion", "--select", "alpha"]
     assert "--fps" in failure(moving, capsys)
     assert "comma list" in failure([*moving[:-1], "colour"], capsys)
-
-
-# Recording and replay ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("kind", ["images", "pair"])
@@ -274,9 +268,6 @@ def test_a_number_that_differs_by_more_is_noticed() -> None:
     assert differing_by_more(whole, StageCost("flow", 2.0 + 1e-6, 1.0)) is None
     assert differing_by_more(whole, StageCost("flow", 2.0 + 3e-6, 1.0)) == "wall_ms"
     assert differing_by_more(whole, StageCost("beta", 2.0, 1.0)) == "stage"
-
-
-# Bad input -----------------------------------------------------------------------------------------------------------
 
 
 def _pair(path: Path, **changed: Any) -> str:

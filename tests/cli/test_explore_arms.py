@@ -136,9 +136,6 @@ def test_each_place_of_the_plan_is_asked_for(tmp_path: Path, capsys: Capture, mo
     assert 10 < len(asked) < 80
 
 
-# Before the first touch ----------------------------------------------------------------------------------------------
-
-
 @pytest.mark.slow
 def test_a_dry_run_makes_the_motion_of_the_first_touch_in_the_air(
     tmp_path: Path, capsys: Capture, monkeypatch: Patch
@@ -172,9 +169,6 @@ def test_what_makes_no_sense_is_refused(
     rig.write_text(RIGS[kind])
     assert main(["explore", str(rig), *more]) == 2
     assert words in capsys.readouterr().err
-
-
-# The finger on the tip -----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("presses", [slow(True), False])

@@ -154,8 +154,6 @@ def test_failures_without_end_end_it_in_order(
     assert main(["replay", str(record)]) == 0, capsys.readouterr().err
 
 
-# Any call fails once -------------------------------------------------------------------------------------------------
-
 ROBOT = [f"tests.cli.fake_bench.FakeRobot.{name}" for name in ("look", "touch", "let_move", "carry_out", "reports")]
 RECORDER = [f"deformscope.recording.recorder.Recorder.{name}" for name in ("_take_step", "_take_items")]
 WATCH = ["deformscope.runs.skeleton.Watch.__call__"]
@@ -315,9 +313,6 @@ def test_a_second_ctrl_c_leaves_at_once(bench: FakeBench, tmp_path: Path, capsys
     assert bench.robots[0].halts
     assert not record.exists()
     assert list(tmp_path.glob("*.part.rrd"))
-
-
-# One number, one value -----------------------------------------------------------------------------------------------
 
 
 def test_terminal_json_panel_and_map_file_give_the_same_numbers(

@@ -126,8 +126,6 @@ def test_what_cannot_be_used_is_refused_in_a_line(
     assert "ends in .png" in failure(["calibrate", "yield", str(press), "--picture", "a.jpg"], capsys)
 
 
-# What a camera saw ---------------------------------------------------------------------------------------------------
-
 ROWS, COLS, SIDE_PX = 5, 7, 12.0
 SEEDED = [
     *("--roi", f"{BORDER_PX - 6},{BORDER_PX - 6},{COLS * SIDE_PX:g},{ROWS * SIDE_PX:g}"),

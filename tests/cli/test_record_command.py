@@ -318,4 +318,3 @@ def test_a_rig_that_is_ended_early_says_so(rig: Path, tmp_path: Path, capsys: Ca
     ends_by = signal.SIGINT
     assert main([*command, "--seconds", "60"]) == 128 + signal.SIGINT
     assert main(command) in WHOLE, "Ctrl-C is the end of a recording that has no other"
-

@@ -93,9 +93,6 @@ def test_a_rig_of_doubles_squeezes_on_the_hosts_clock(rig: Path, capsys: Capture
     squeezed_recorded_and_replayed(rig, capsys, EXIT_LOSSES)
 
 
-# What goes wrong -----------------------------------------------------------------------------------------------------
-
-
 def kept_as_discarded(made: SimulatedSqueezeRig, found: dict[str, Any], reason: str, verified: int = 0) -> None:
     """The hand stands, its limits are as they were, and the trial is left out with its reason."""
     (entry,) = SqueezeDataset(Path("d")).entries()

@@ -234,8 +234,6 @@ def test_a_second_sweep_into_the_same_folder_is_refused(pairs: Path, tmp_path: P
         ds.sweep(ds.calibrate_beta, pairs, out=tmp_path / "out")
 
 
-# Functions of a script ------------------------------------------------------------------------------------------------
-
 TRACES = "DEFORMSCOPE_TEST_TRACES"
 
 

@@ -76,8 +76,6 @@ class DeviceContract:
         with bench.device.open() as device:
             yield device
 
-    # Lifecycle -------------------------------------------------------------------------------------------------------
-
     def test_a_constructor_touches_nothing(self, bench: Bench) -> None:
         assert not bench.device.is_open
         assert bench.device.link is Link.CLOSED
@@ -115,8 +113,6 @@ class DeviceContract:
         with pytest.raises(NotConnected):
             bench.another().open()
         device.next(PATIENCE_S)
-
-    # The three reads -------------------------------------------------------------------------------------------------
 
     def test_iteration_gives_every_reading_in_order(self, device: Device[Any]) -> None:
         before = device.health().received
@@ -185,8 +181,6 @@ class DeviceContract:
         assert health.rate_hz > 0
         assert 0 <= health.age_s < PATIENCE_S
         assert health.reconnects == 0
-
-    # A link that is lost ---------------------------------------------------------------------------------------------
 
     def test_a_cable_pulled_out_is_reported_and_put_back_is_found(self, bench: Bench, device: Device[Any]) -> None:
         if bench.unplug is None or bench.plug is None:

@@ -86,9 +86,6 @@ def test_a_cut_matroska_is_shorter_than_it_says(tmp_path: Path) -> None:
     assert check.problems() == []
 
 
-# Times of videos that no writer at hand makes ------------------------------------------------------------------------
-
-
 def box(kind: bytes, content: bytes = b"", length: int | None = None) -> bytes:
     return struct.pack(">I4s", 8 + len(content) if length is None else length, kind) + content
 

@@ -80,9 +80,6 @@ def asked(folder: Path, source: Path, text: str, *flags: str) -> Commands:
     return [["import", "--inspect", str(source), *flags], command]
 
 
-# Tables --------------------------------------------------------------------------------------------------------------
-
-
 def table(draw: Draw, folder: Path) -> Commands:
     """CSV or Parquet."""
     rows = draw.size(COUNT, 64)
@@ -157,9 +154,6 @@ def arrays(draw: Draw, folder: Path) -> Commands:
         made[name] = np.full(shape, draw.odd(1, 0, 2, 100)).astype(draw.odd(np.float64, *kinds))
     (np.savez_compressed if draw.random() < 0.5 else np.savez)(folder / "t.npz", **made)
     return [["classify", str(folder / "t.npz"), "--folds", "2"], ["calibrate", "beta", str(folder / "t.npz")]]
-
-
-# Bytes and files -----------------------------------------------------------------------------------------------------
 
 
 def capture(draw: Draw, folder: Path) -> Commands:
@@ -288,9 +282,6 @@ def take(draw: Draw, folder: Path) -> Commands:
     text = json.dumps(readings) if draw.random() > 0.05 else "[" * 50_000
     (source / "robot_data.json").write_text(text)
     return [["import", str(source), "--pairs", str(folder / "pairs"), "--particles", "8"]]
-
-
-# Bags ----------------------------------------------------------------------------------------------------------------
 
 
 @cache
@@ -430,9 +421,6 @@ def bag(draw: Draw, folder: Path) -> Commands:
     found = source if ros1 or draw.random() < 0.5 else next(one for one in sorted(source.iterdir(), reverse=True))
     found = found if found.suffix in ("", ".bag", ".mcap", ".db3") else source
     return asked(folder, found, text, *draw.odd([], ["--largest-mb", "1"], chance=0.5))
-
-
-# URDF ----------------------------------------------------------------------------------------------------------------
 
 
 def urdf(draw: Draw, folder: Path) -> Commands:

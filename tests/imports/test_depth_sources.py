@@ -197,9 +197,6 @@ def test_a_jpeg_has_no_distances_whatever_its_unit(tmp_path: Path, capfd: pytest
     assert "8 bits: they are lost" in refused(source, text, tmp_path / "r.rrd", capfd)
 
 
-# Units ---------------------------------------------------------------------------------------------------------------
-
-
 def stated(bag: Bag, topic: str, unit_m: float) -> Bag:
     kind = "std_msgs/msg/Float32"
     bag.messages.append((topic, kind, 1, bag.make(kind, unit_m)))
@@ -266,9 +263,6 @@ def test_real_numbers_that_are_no_metres_are_asked_for(
     np.testing.assert_allclose(found[1:], TRUE_M[1:], atol=5.1e-5)
 
 
-# Nothing seen --------------------------------------------------------------------------------------------------------
-
-
 def unseen(source: Path, text: str, out: Path, capfd: pytest.CaptureFixture[str]) -> str:
     """What is printed of an import in which nothing is valid."""
     capfd.readouterr()
@@ -322,9 +316,6 @@ def test_forces_and_texels_that_are_never_numbers_are_a_loss(tmp_path: Path, cap
     error = refused(source, text, tmp_path / "s.rrd", capfd)
     assert 'pressures of hand that are numbers; got nothing, or NaN, in frame 0 | try: nan = "keep"' in error
     unseen(source, f'{text}nan = "keep"\n', tmp_path / "s.rrd", capfd)
-
-
-# Points --------------------------------------------------------------------------------------------------------------
 
 
 def cloud() -> Any:

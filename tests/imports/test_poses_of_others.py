@@ -203,8 +203,6 @@ def test_a_quaternion_that_is_no_rotation_is_refused_where_it_is_used(
             assert "a quaternion of length 0.5, where a rotation has 1" in error
 
 
-# Tables --------------------------------------------------------------------------------------------------------------
-
 TURN = Rotation.from_euler("ZYX", [50, -20, 35], degrees=True)
 FORMS: dict[str, tuple[str, Any]] = {
     "vector": ("rad", TURN.as_rotvec()),
@@ -289,8 +287,6 @@ def test_angles_of_more_than_a_turn_are_no_radians(tmp_path: Path, capfd: pytest
     error = refused(source, pose_map(columns, "deg", 'rotation = "ZYZ"\n'), tmp_path / "r.rrd", capfd)
     assert "rotation_0_rad to rotation_2_rad: ZYZ has two angles about Z" in error
 
-
-# Matrices ------------------------------------------------------------------------------------------------------------
 
 ONE, ALL = "hand_msgs/msg/Matrix", "hand_msgs/msg/Matrices"
 

@@ -53,9 +53,6 @@ def folder(tmp_path: Path, images: list[ImageArray]) -> Path:
     return tmp_path / "frames"
 
 
-# Frames --------------------------------------------------------------------------------------------------------------
-
-
 def test_thinned_frames_are_evenly_spread_from_the_first_to_the_last(folder: Path) -> None:
     with open_source([folder]) as source:
         every = list(source)
@@ -117,9 +114,6 @@ def test_what_was_thinned_replays_to_the_same_numbers(folder: Path, slow: None, 
     assert main(["replay", str(record), "--viewer", "none"]) == 0
 
 
-# Layers --------------------------------------------------------------------------------------------------------------
-
-
 def test_a_lattice_is_no_finer_than_asked_for_and_has_two_cells_across_the_tip(tmp_path: Path) -> None:
     seen = parse_pair(write_pair(tmp_path / "p.npz", at=(0.09, 0.08)).read_bytes(), "p")
     surface, pokes = MeasuredSurface(seen.rest, THICKNESS), [seen_poke(seen)]
@@ -168,9 +162,6 @@ def test_the_finest_lattice_is_taken_where_it_is_asked_for() -> None:
     for fine, most in ((False, calibration.MOST_PARTICLES), (True, None)):
         options = calibration._layers(BetaConfig(("p.npz",), layers=layers, search=SearchOptions(fine=fine)))
         assert options.most_particles == most
-
-
-# Time left -----------------------------------------------------------------------------------------------------------
 
 
 def test_where_there_is_no_terminal_a_line_says_how_long_it_will_take(capsys: Capture, monkeypatch: Patch) -> None:

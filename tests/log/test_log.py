@@ -194,9 +194,6 @@ def test_the_canvas_follows_the_particles() -> None:
     assert canvas.around(np.full((3, 2), np.nan)) == canvas
 
 
-# Where the model is wrong --------------------------------------------------------------------------------------------
-
-
 def decoded(path: Path, frame: int) -> tuple[np.ndarray, np.ndarray]:
     """(rows, columns, 4) the heat map as it is stored, and (2, 2) its corner and its cells' sides."""
     png = bytes(values(path, "/heat/map", "EncodedImage:blob", frame)[0])

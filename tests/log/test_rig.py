@@ -286,9 +286,6 @@ def test_a_plot_breaks_off_where_the_link_was_lost(tmp_path: Path) -> None:
     assert_same([item for item in back(tmp_path / "run.rrd") if not isinstance(item, LinkChange)], frames)
 
 
-# What is shown ------------------------------------------------------------------------------------------------------
-
-
 def test_a_hand_is_drawn_as_it_is_held() -> None:
     hand = Hand.of(rig.PADS)
     corners = dict(zip((pad.name for pad in hand.pads), hand.corners, strict=True))

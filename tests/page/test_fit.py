@@ -146,9 +146,6 @@ def beta_of(source: Path, **more: Any) -> BetaConfig:
     return BetaConfig((str(source),), search=SearchOptions(candidates=12), **more)
 
 
-# The same numbers ----------------------------------------------------------------------------------------------------
-
-
 def test_a_pair_is_shown_as_its_command_line_gives_it(pair: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with watched(beta_of(pair)) as one:
         shown = one.fitted(1, beta=0.37, theta=0.1, cluster_size=2)
@@ -214,9 +211,6 @@ def test_a_command_line_says_all_that_decides() -> None:
     assert words[:4] == ["deformscope", "calibrate", "beta", "a b.mp4"]
     assert parse(BetaConfig, words[3:], "calibrate beta") == config
     assert command_line("calibrate beta", BetaConfig(("x",))) == ["deformscope", "calibrate", "beta", "x"]
-
-
-# The newest wins -----------------------------------------------------------------------------------------------------
 
 
 class Counted(PairSubject):
@@ -365,9 +359,6 @@ def test_settings_are_checked_field_by_field(wrong: dict[str, Any]) -> None:
     assert msgspec.json.decode(json.dumps(right), type=SetFit).settings.beta == 0.4
     with pytest.raises(msgspec.DecodeError):
         msgspec.json.decode(json.dumps(right | {"settings": wrong}), type=SetFit)
-
-
-# From the command line -----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow

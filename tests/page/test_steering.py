@@ -90,9 +90,6 @@ def planned(x_m: float = 0.15) -> PlannedTouch:
     return PlannedTouch(np.array([x_m, 0.2]), None, None, np.zeros((2, 2), bool), "fills the space")
 
 
-# Before it moves -----------------------------------------------------------------------------------------------------
-
-
 def test_the_page_asks_for_a_finger_on_the_tip_before_the_arm_may_move() -> None:
     steered = Steered(begun=False)
     nothing = SimpleNamespace()
@@ -120,9 +117,6 @@ def test_a_real_arm_begins_once_somebody_confirms_it_on_the_page(monkeypatch: py
     assert answered.value.value == "yes"
     steered.steering.go_on()
     assert steered.session.state.phase == "exploring"
-
-
-# Stop ----------------------------------------------------------------------------------------------------------------
 
 
 def presses(count: int) -> list[int]:
@@ -201,9 +195,6 @@ def test_stop_is_obeyed_from_any_page() -> None:
     assert steered.session.command("b", StopRun(1)).outcome == "done"
     assert steered.ended.is_set()
     assert steered.ended.by == "from the page"
-
-
-# Holding -------------------------------------------------------------------------------------------------------------
 
 
 def confirmed() -> Steered:
@@ -289,9 +280,6 @@ def test_who_is_pushed_away_may_go_whoever_watches() -> None:
     robot.cycle(TipVelocity(np.array([0.0, 0.0, SPEED_M_S])))
     scene.lab.close()
     assert robot.commanded[-1] > 0.0
-
-
-# What comes next -----------------------------------------------------------------------------------------------------
 
 
 def test_what_was_not_confirmed_is_not_touched() -> None:

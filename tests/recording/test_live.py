@@ -43,9 +43,6 @@ def until(happened: Callable[[], object]) -> None:
         time.sleep(0.005)
 
 
-# The feed ------------------------------------------------------------------------------------------------------------
-
-
 class Stream:
     """A live stream. state: of its viewer: `well`, `frozen` or `gone`"""
 
@@ -183,9 +180,6 @@ def test_jobs_of_one_period_are_confirmed_together() -> None:
     assert stream.flushes == 2
 
 
-# Whether a viewer answers --------------------------------------------------------------------------------------------
-
-
 @contextlib.contextmanager
 def server(answer: bytes | None) -> Iterator[Viewer]:
     """Something on a port. answer: to whatever it is asked; None = it accepts and says nothing, as a stopped process"""
@@ -216,9 +210,6 @@ def test_whether_a_viewer_answers() -> None:
         check_answers(viewer, PATIENCE_S)
     with pytest.raises(ConnectionError):
         check_answers(viewer, PATIENCE_S)  # nobody listens there any more
-
-
-# A window, and a page's server ----------------------------------------------------------------------------------------
 
 
 def program(folder: Path, script: str) -> Path:
@@ -371,8 +362,6 @@ def test_no_data_follows_for_a_window_that_ended_as_it_opened(tmp_path: Path, mo
     assert b"PRI * HTTP" in b"".join(got)
     assert b"zebra" not in b"".join(got)
 
-
-# A real viewer -------------------------------------------------------------------------------------------------------
 
 RECORDING = """
     import os, signal, sys, threading, time

@@ -45,9 +45,6 @@ def spin_in_two(outer: float, inner: float) -> int:
     return count + spin(outer)
 
 
-# What is registered --------------------------------------------------------------------------------------------------
-
-
 def test_no_view_is_registered_without_a_stage() -> None:
     for application, registry in registries().items():
         for kind in registry:
@@ -93,9 +90,6 @@ def test_settings_say_which_stages_are_expected(when: str, expected: bool) -> No
         "stages": {"names": ["beta", "tactile"]},
     }
     assert ShownStage("any", 2, "something", when=when).is_expected(settings) == expected
-
-
-# Costs ---------------------------------------------------------------------------------------------------------------
 
 
 def test_what_is_measured_within_a_stage_counts_once() -> None:
@@ -190,9 +184,6 @@ def test_a_deterministic_recording_has_no_costs(tmp_path: Path) -> None:
     assert list(read_rows(Replay(path), (StageCost,))) == []
 
 
-# What is missing -----------------------------------------------------------------------------------------------------
-
-
 def without(path: Path, entity: str, target: Path) -> Path:
     """A copy that lacks an entity, and all below it."""
     from rerun.chunk import RrdReader
@@ -230,9 +221,6 @@ def test_a_recording_without_costs_opens(tmp_path: Path, capsys: pytest.CaptureF
     assert "costs: not recorded" in said
     assert "stages missing: none" in said
     assert "- (stages.names=theta)" in printed
-
-
-# Samples -------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -33,8 +33,6 @@ def refused(text: str) -> str:
     return message
 
 
-# Ports and buses -----------------------------------------------------------------------------------------------------
-
 PORTS = [
     "spy:///dev/null?file=made",
     "SPY:///dev/null?file=made",
@@ -143,9 +141,6 @@ def test_a_name_that_ffmpeg_takes_for_a_protocol_is_a_file(tmp_path: Path, monke
     assert opened == [str(tmp_path / "concat:a|b")]
 
 
-# Values --------------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("value", ["inf", "-inf", "nan", "1" + "0" * 400])
 @pytest.mark.parametrize(
     "text",
@@ -251,9 +246,6 @@ def test_any_text_is_a_rig_of_devices_or_an_input_error(text: str) -> None:
             entry.make()
 
 
-# Files ---------------------------------------------------------------------------------------------------------------
-
-
 def test_what_is_no_regular_file_is_refused_at_once(tmp_path: Path, capsys: Capture) -> None:
     os.mkfifo(tmp_path / "pipe")
     for path in ("/dev/zero", "/dev/null", tmp_path / "pipe", tmp_path):
@@ -275,9 +267,6 @@ def test_a_file_that_is_too_large_is_refused(tmp_path: Path) -> None:
 def test_the_home_of_nobody_is_refused() -> None:
     with pytest.raises(InputError, match="a rig file"):
         load_rig("~no-such-user-here/rig.toml")
-
-
-# Vendors' libraries --------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")

@@ -135,9 +135,6 @@ def test_torques_that_are_lost_stop_an_arm_that_had_them(
     assert supervisor.judge(torqued(3 * PERIOD_NS, then_nm)).fault is fault
 
 
-# By motor currents ---------------------------------------------------------------------------------------------------
-
-
 def watched(rates_deg_s: FloatArray, wrenches: FloatArray, tip_n: float, seed: int, unit: float = 1.0) -> list[int]:
     """In which cycles of 12 ms a KUKA that turns at (k, 6), (k, 6) on its flange, is said to have met something."""
     random, watch, found = np.random.default_rng(seed), CurrentWatch(), []

@@ -101,9 +101,6 @@ def tilted(angle_deg: float) -> FloatArray:
     return np.array([np.sin(angle), 0.0, np.cos(angle)])
 
 
-# On an arm that follows the vendor -----------------------------------------------------------------------------------
-
-
 def test_the_stick_turns_to_where_it_is_sent_and_never_away(bench: Bench) -> None:
     """Rotation in the base frame, sent to an arm that takes it in its own, tilted the stick by 74 deg here."""
     goal = tilted(10.0)
@@ -156,9 +153,6 @@ def test_joints_on_their_way_turn_tip_and_tool_no_faster_than_the_supervisor_all
     speeds_m_s = np.linalg.norm(np.diff(bench.centers_m, axis=0), axis=1) / 0.01
     assert 0.04 < speeds_m_s.max() < 0.055
     bench.lab.close()
-
-
-# Limits and singularities --------------------------------------------------------------------------------------------
 
 
 def test_a_joint_slows_down_before_its_limit_and_stops_at_its_margin() -> None:
@@ -251,9 +245,6 @@ def test_a_tip_sent_towards_a_joints_limit_stops_at_its_margin() -> None:
     assert bench.until_stopped(JointRates(np.array([0.0, 0.0, -12.0, 0.0, 0.0, 0.0]))) is Fault.JOINT_LIMIT
     assert 20.0 < J2N6S300.to_limits_deg(bench.lab.arm_double.joints_deg).min() < 21.0
     bench.lab.close()
-
-
-# What was commanded --------------------------------------------------------------------------------------------------
 
 
 def test_a_held_orientation_is_brought_back() -> None:

@@ -77,8 +77,6 @@ class ArmContract:
         with pytest.raises(NotMovedByCommands, match="a person places"):
             arm.chain  # noqa: B018
 
-    # Velocities ------------------------------------------------------------------------------------------------------
-
     def rates(self, arm: Arm[Any]) -> JointVelocity:
         if arm.by_hand:
             pytest.skip("a person places it")

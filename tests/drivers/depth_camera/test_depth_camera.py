@@ -169,9 +169,6 @@ def test_a_camera_that_is_closed_leaves_no_process() -> None:
     wait_until(lambda: nothing_left_since(before))
 
 
-# Recordings ----------------------------------------------------------------------------------------------------------
-
-
 def test_every_frame_of_a_recording_comes_once_and_then_the_end(tmp_path: Path) -> None:
     path = tmp_path / "long.oni"
     times = write_oni(path, depths(100))

@@ -82,9 +82,6 @@ def settings(double: DsaDouble) -> list[tuple[float, int]]:
     return [(matrix.sensitivity, matrix.threshold) for matrix in double._settings]
 
 
-# Start-up --------------------------------------------------------------------------------------------------------
-
-
 def test_it_asks_what_it_is_before_it_streams() -> None:
     desk = Desk(Ears(), sensitivity=0.75, threshold=(1, 2, 3, 4, 5, 6))
     with desk as device:
@@ -162,9 +159,6 @@ def test_other_sensors_than_the_sdhs() -> None:
     with desk:
         (reading, *_) = desk.run(0.2)
     assert [pad.shape for pad in reading.pads] == [(14, 6), (13, 6)]
-
-
-# Readings ----------------------------------------------------------------------------------------------------------
 
 
 def press(time_s: float) -> list[np.ndarray]:
@@ -276,9 +270,6 @@ def test_nothing_pressed_is_not_stuck() -> None:
         device.latest(1.0)
 
 
-# Settings ----------------------------------------------------------------------------------------------------------
-
-
 def test_five_frames_may_come_before_an_answer() -> None:
     class Late(Ears):
         def _carry_out(self, command, now_ns):
@@ -371,9 +362,6 @@ def test_settings_that_did_not_take_are_refused() -> None:
         pass
 
 
-# Firmware ----------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("version", [218, 262, 268, 269, 288, 289])
 def test_a_single_frame_whatever_the_firmware(version: int) -> None:
     desk = Desk(DsaDouble(software_version=version), streaming=False)
@@ -400,9 +388,6 @@ def test_a_read_back_that_is_broken_is_not_believed() -> None:
     desk = Desk(DsaDouble(software_version=218), sensitivity=0.75)
     with desk:
         assert desk.run(0.2)
-
-
-# Links that fail -----------------------------------------------------------------------------------------------------
 
 
 def test_on_a_bad_wire_no_wrong_texels_come() -> None:
@@ -475,9 +460,6 @@ def test_a_paced_pty_shows_the_real_rate() -> None:
         rate_hz = 11 / ((last.stamp.host_ns - first.stamp.host_ns) / S)
         assert 6.0 < rate_hz < 13.0
         assert last.stamp.device_ticks - first.stamp.device_ticks == pytest.approx(11 * 85.5, abs=3)
-
-
-# The contract --------------------------------------------------------------------------------------------------------
 
 
 class Switch(DsaDouble):

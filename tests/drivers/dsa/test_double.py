@@ -56,9 +56,6 @@ def frames_of(double: DsaDouble, seconds: int) -> list[Reading]:
     ]
 
 
-# Known bytes -----------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("heard", "answer"),
     [
@@ -91,9 +88,6 @@ def test_the_sdhs_matrices() -> None:
         shapes.append((matrix.cells_y, matrix.cells_x))
     assert shapes == SHAPES
     assert sum(rows * columns for rows, columns in shapes) == 486
-
-
-# Pace ------------------------------------------------------------------------------------------------------------
 
 
 def test_raw_frames_fill_the_line() -> None:
@@ -155,9 +149,6 @@ def test_next_ns_tells_when_to_come_back() -> None:
         visits += 1
     assert len(list(Decoder(SDH_CELLS).feed(found))) == 1 + 6
     assert visits <= 2 * len(found)  # most for one byte
-
-
-# Firmware --------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("version", "goes_on"), [(262, True), (268, True), (269, False), (288, True), (289, False)])
@@ -224,9 +215,6 @@ def test_power_up_ends_what_was_going_on() -> None:
     (controller,) = said(double, hexed("aa aa aa 01 00 00"), 7 * S)
     assert isinstance(controller, ControllerInfo)
     assert controller.status == 0x80
-
-
-# What it feels -----------------------------------------------------------------------------------------------------
 
 
 def test_pressures_become_counts_where_they_are() -> None:

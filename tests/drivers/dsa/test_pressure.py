@@ -90,9 +90,6 @@ def test_what_counts_as_contact(count: int, touches: bool) -> None:
     assert np.isnan(contact.center_m).all() == (not touches)
 
 
-# Names -------------------------------------------------------------------------------------------------------------
-
-
 def test_pads_by_name() -> None:
     assert [Pad.of_matrix(matrix).name for matrix in range(6)] == [
         "finger_0_proximal",
@@ -105,9 +102,6 @@ def test_pads_by_name() -> None:
     assert [Pad.of_matrix(matrix).matrix for matrix in range(6)] == list(range(6))
     ipa_order = (2, 3, 4, 5, 0, 1)  # matrices in IPA's ROS messages: thumb, finger 1, finger 2, each proximal, distal
     assert [Pad.of_matrix(matrix).finger for matrix in ipa_order] == [1, 1, 2, 2, 0, 0]
-
-
-# The thesis's feature ----------------------------------------------------------------------------------------------
 
 
 def test_the_feature_is_the_first_six_rows_of_two_fingertips() -> None:

@@ -71,9 +71,6 @@ def test_commands_by_name() -> None:
     assert encode(single()) == hexed("aa aa aa 03 03 00 81 00 00 2f 68")
 
 
-# What is refused -------------------------------------------------------------------------------------------------
-
-
 def raw_frame(*words: int, flags: int = 0) -> bytes:
     body = (1000).to_bytes(4, "little") + bytes([flags]) + b"".join(word.to_bytes(2, "little") for word in words)
     return checked((b"\x00" + len(body).to_bytes(2, "little") + body).hex())
@@ -152,8 +149,6 @@ def test_a_controller_answers_what_it_cannot_use() -> None:
         stop(),
     ]
 
-
-# Properties ------------------------------------------------------------------------------------------------------
 
 TEXELS = st.lists(st.integers(0, 4095) | st.just(0), min_size=1, max_size=120) | st.lists(
     st.sampled_from([0, 0, 0, 7]), min_size=1, max_size=120

@@ -128,9 +128,6 @@ def lab() -> Iterator[Simulated]:
         yield made
 
 
-# The contract of every device -----------------------------------------------------------------------------------------
-
-
 class TestOverThePythonDouble(DeviceContract):
     @pytest.fixture
     def bench(self) -> Bench:
@@ -162,9 +159,6 @@ def test_over_the_c_double_by_ethernet() -> None:
     config = JacoConfig(library=build("ethernet"), connection="ethernet", ethernet=EthernetAddresses())
     with Jaco(config) as arm:
         assert len(arm.next(5.0).joints_deg) == 7
-
-
-# Shows ----------------------------------------------------------------------------------------------------------------
 
 
 class Coupled(SimulatedClock):
@@ -252,9 +246,6 @@ def test_in_real_time_it_turns_by_the_right_angle_too() -> None:
 
 def joints(functions: Functions) -> FloatArray:
     return np.array(actuator_values(read(functions, "GetAngularPosition", AngularPosition).Actuators, 6))
-
-
-# Coming up and letting go ---------------------------------------------------------------------------------------------
 
 
 def test_it_comes_up_in_the_order_of_the_vendors_driver_and_lets_go_erasing_first(lab: Simulated) -> None:
@@ -507,9 +498,6 @@ def test_a_moving_arm_that_cannot_be_reported_to_stop_is_reported_to_the_user(la
     assert not lab.arm.is_open
 
 
-# The deadline ---------------------------------------------------------------------------------------------------------
-
-
 def test_a_command_that_is_not_refreshed_is_zeroed_and_erased_within_two_periods(lab: Simulated) -> None:
     lab.arm.set_velocity(TURN, valid_for_s=0.25)
     expires_s = lab.now_s + 0.25
@@ -627,9 +615,6 @@ def test_however_a_program_ends_it_erases_before_it_closes(ending: str) -> None:
         reported = process.stdout.read()
     last_calls = ["EraseAllTrajectories", "StopForceControl", "StopControlAPI", "CloseAPI"]
     assert reported.splitlines()[0].split() == ["0", *last_calls], reported
-
-
-# The cycle ------------------------------------------------------------------------------------------------------------
 
 
 def test_points_go_out_at_100_hz_one_in_each_slot(lab: Simulated) -> None:
@@ -830,9 +815,6 @@ def test_codes_that_pass_are_counted_and_those_that_stay_are_a_lost_link(lab: Si
         lab.run(0.5)
 
 
-# Limits ---------------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     "velocity",
     [
@@ -941,9 +923,6 @@ def test_a_pose_that_the_arm_cannot_reach_is_refused(lab: Simulated) -> None:
 def test_fingers_beyond_their_range_are_refused(lab: Simulated, fingers: tuple[float, ...]) -> None:
     with pytest.raises(OutOfLimits):
         lab.arm.move_fingers(fingers)
-
-
-# Positions, fingers, home ---------------------------------------------------------------------------------------------
 
 
 def test_it_moves_to_joint_angles_and_waits_until_it_is_there(lab: Simulated) -> None:
@@ -1095,9 +1074,6 @@ def test_the_rates_reported_are_those_of_the_joints_and_zero_at_rest(simulated: 
     np.testing.assert_allclose(state.rates_deg_s, (20.0, -15.0, 0.0, 10.0, -5.0, 0.0), atol=0.1)
 
 
-# Force ----------------------------------------------------------------------------------------------------------------
-
-
 def test_admittance_is_set_up_with_pauses_and_the_arm_gives_way(lab: Simulated) -> None:
     lab.arm.set_force_range((1.0,) * 6, (20.0,) * 6)
     lab.arm.set_inertia_damping((1.0,) * 6, (100.0,) * 6)
@@ -1161,9 +1137,6 @@ def test_torques_are_zeroed_in_the_candle_pose_alone() -> None:
             lab.arm.set_torque_zero()
 
 
-# A link that is lost --------------------------------------------------------------------------------------------------
-
-
 def test_a_link_lost_while_it_moves_comes_back_with_the_arm_stopped() -> None:
     double = JacoDouble()
     with Jaco(PATIENT, double, reconnect=QUICK) as arm:
@@ -1208,9 +1181,6 @@ def test_a_link_lost_on_the_way_to_a_target_is_reported_at_once() -> None:
         wait_until(lambda: arm.link is Link.CONNECTED)
         wait_until(lambda: double.fifo_count == 0)
         assert double.joints_deg[0] < J2N6S300.home_deg[0] + 39.0
-
-
-# Parts ----------------------------------------------------------------------------------------------------------------
 
 
 def test_a_pacer_keeps_its_schedule_and_counts_what_it_missed() -> None:

@@ -91,9 +91,6 @@ def test_in_real_time_the_c_double_turns_by_its_angle() -> None:
     assert joints(bench)[0] - before[0] == pytest.approx(6.0, abs=1e-3)
 
 
-# What the Python double alone models ---------------------------------------------------------------------------------
-
-
 @pytest.fixture
 def bench() -> PythonBench:
     made = PythonBench("j2n6s300")

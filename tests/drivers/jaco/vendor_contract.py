@@ -61,8 +61,6 @@ class VendorContract:
         call(bench.functions, "StartControlAPI")
         return bench
 
-    # The library and its devices -------------------------------------------------------------------------------------
-
     def test_it_tells_its_version_before_all_else(self, bench: VendorBench) -> None:
         assert api_version(bench.functions) == (5, 2, 0)
 
@@ -105,8 +103,6 @@ class VendorContract:
             call(started.functions, "EraseAllTrajectories")
         assert caught.value.code == 4242
 
-    # The six-joint trap ----------------------------------------------------------------------------------------------
-
     def test_a_joint_that_it_has_not_is_never_written(self, started: VendorBench) -> None:
         seven = started.chain.joint_count == 7
         for name in ("GetAngularPosition", "GetAngularVelocity", "GetAngularForceGravityFree", "GetAngularCurrent"):
@@ -123,8 +119,6 @@ class VendorContract:
         assert len(actuator_values(angles, started.chain.joint_count)) == started.chain.joint_count
         if started.chain.joint_count == 6:
             assert angles.Actuator7 == 0.0
-
-    # Velocities ------------------------------------------------------------------------------------------------------
 
     def test_an_angular_velocity_held_for_1_s_turns_by_its_angle(self, started: VendorBench) -> None:
         rates = np.array([20.0, -10.0, 15.0, 30.0, -40.0, 5.0, -12.0])[: started.chain.joint_count]
@@ -229,8 +223,6 @@ class VendorContract:
         stream(started, JointVelocity(down), seconds=5.0)
         assert joints(started)[1] == pytest.approx(313.0, abs=SINGLE)
         assert rates_deg_s(started)[1] == 0.0
-
-    # Positions -------------------------------------------------------------------------------------------------------
 
     def test_a_joint_position_is_reached_at_the_limited_speed(self, started: VendorBench) -> None:
         target = joints(started) + np.array([10.0, -10.0, 10.0, 20.0, -20.0, 20.0, -20.0])[: started.chain.joint_count]
@@ -352,8 +344,6 @@ class VendorContract:
         assert pose(cold)[2, 3] - before[2, 3] == pytest.approx(0.03, abs=1e-3)
         assert retract(cold) == RetractType.NORMAL_STANDBY
 
-    # Fingers ---------------------------------------------------------------------------------------------------------
-
     def test_fingers_go_to_a_position_within_their_range(self, started: VendorBench) -> None:
         point = position_point(PositionType.ANGULAR_POSITION, joints(started), limits=(10.0, 10.0))
         point.Position.HandMode = HandMode.POSITION
@@ -379,8 +369,6 @@ class VendorContract:
         status = read(started.functions, "GetQuickStatus", QuickStatus)
         assert (status.Finger1Status, status.Finger2Status, status.Finger3Status) == (1, 1, 1)
         assert fingers(started) == (0.0, 0.0, 0.0)
-
-    # Control ---------------------------------------------------------------------------------------------------------
 
     def test_without_control_it_takes_nothing(self, bench: VendorBench) -> None:
         call(bench.functions, "InitAPI")
@@ -408,8 +396,6 @@ class VendorContract:
         stopped = joints(started)
         started.advance(0.5)
         np.testing.assert_array_equal(joints(started), stopped)
-
-    # Force -----------------------------------------------------------------------------------------------------------
 
     def test_a_push_shows_at_the_hand_and_in_the_joints(self, started: VendorBench) -> None:
         push = np.array([3.0, -2.0, 5.0, 0.1, 0.2, -0.3])

@@ -109,9 +109,6 @@ def test_every_cut_and_flip_is_read_or_refused() -> None:
             continue
 
 
-# The arm ------------------------------------------------------------------------------------------------------------
-
-
 @pytest.fixture(params=sorted(CHAINS))
 def chain(request: pytest.FixtureRequest) -> Chain:
     return CHAINS[request.param]

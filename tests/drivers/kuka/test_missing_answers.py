@@ -40,9 +40,6 @@ def answered_once(double: KukaDouble, correction_deg: float = STEP_DEG, cycles: 
     return np.array(way)
 
 
-# What the double does ------------------------------------------------------------------------------------------------
-
-
 def test_holdon_0_moves_an_axis_once() -> None:
     assert answered_once(KukaDouble(holdon=0))[-1] == pytest.approx(STEP_DEG)
 
@@ -85,9 +82,6 @@ def test_axes_that_were_moving_brake_as_rsi_ends() -> None:
     assert way[-1] - way[ended] > 2 * STEP_DEG  # v^2 / 2 a
     assert way[-1] == way[-2]
     assert double.next_ns(60 * CYCLE_NS) is None
-
-
-# What opening makes of it --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("cycle_s", [0.004, 0.012])
@@ -186,9 +180,6 @@ def test_two_answers_are_left_out_and_counted_as_nothing_else() -> None:
         np.testing.assert_array_equal(np.flatnonzero(steps != 12), [first])
         assert steps[first] == 36
         assert bench.arm.health().extra["answers_late"] == 0
-
-
-# Closing -------------------------------------------------------------------------------------------------------------
 
 
 def halt_then_close(arm: Kuka) -> None:

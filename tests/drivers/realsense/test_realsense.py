@@ -52,9 +52,6 @@ class TestRealsense(DeviceContract):
         )
 
 
-# In a process of its own ---------------------------------------------------------------------------------------------
-
-
 def test_depth_is_in_metres_whatever_its_unit(cameras: Callable[..., None]) -> None:
     """A wall at 0.6 m; a D435's 427.7 px at 848 px of width are 32.3 at 64."""
     with opened(replace(SMALL, unit_m=0.0001, preset="high_accuracy")) as camera:
@@ -133,9 +130,6 @@ def test_without_the_library_it_says_what_to_install() -> None:
     camera = Realsense(SMALL, library="no_such_library")
     with pytest.raises(LibraryMissing, match=r"expected pyrealsense2; .* try: pip install deformscope\[realsense\]"):
         camera.open()
-
-
-# What the process does, in this one ----------------------------------------------------------------------------------
 
 
 @pytest.fixture

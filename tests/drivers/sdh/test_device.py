@@ -52,9 +52,6 @@ def config(**settings) -> SdhConfig:
     return SdhConfig(**{"rate_hz": 80.0, "reply_timeout_s": 0.1, "reconnect": QUICK, **settings})
 
 
-# The contract -------------------------------------------------------------------------------------------------------
-
-
 def bench_of(double: SdhDouble, wire: PtyWire | TcpWire, **settings) -> Bench:
     return Bench(
         Sdh(config(port=wire.port, **settings)),
@@ -98,9 +95,6 @@ class TestOverCan(DeviceContract):
             del wire  # a bus stays when a device leaves it: what is seen is silence
             device = Sdh(config(bus=bus))
             yield Bench(device, None, None, lambda: silence(double, True), lambda: silence(double, False))
-
-
-# In memory ----------------------------------------------------------------------------------------------------------
 
 
 @dataclass
@@ -222,9 +216,6 @@ def test_the_rate_is_as_asked_up_to_what_the_line_has_room_for(lab: Make) -> Non
     quick.run(3.0)
     # three requests of 5 bytes and replies of 34 are 117 bytes: 10.2 ms at 11 520 bytes/s
     assert quick.hand.health().rate_hz == pytest.approx(98.0, rel=0.03)
-
-
-# Motion -------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("firmware", ["0.0.3.2", "0.0.2.10", "0.0.2.0"])
@@ -405,9 +396,6 @@ def test_an_axis_driven_to_the_end_of_its_range_says_so(lab: Make) -> None:
     assert made.position_deg()[1] == 90.0
 
 
-# Settings -----------------------------------------------------------------------------------------------------------
-
-
 def test_power_and_currents(lab: Make) -> None:
     made = lab()
     made.hand.power([True] + [False] * 6)
@@ -492,9 +480,6 @@ def test_nothing_is_sent_beyond_the_limits(lab: Make) -> None:
         with pytest.raises(OutOfLimits):
             refused(made.hand)
         assert made.double.commands == before, number
-
-
-# Errors -------------------------------------------------------------------------------------------------------------
 
 
 def test_every_error_code_has_its_name(lab: Make) -> None:
@@ -584,9 +569,6 @@ def test_readings_over_a_bad_line_are_right_or_asked_again(lab: Make) -> None:
     assert made.hand.health().extra["retries"] > 5
     assert sum(faulty.counts.values()) > 20
     assert lost <= 2
-
-
-# Links that are lost ------------------------------------------------------------------------------------------------
 
 
 def test_a_lost_link_ends_the_wait_and_the_motion() -> None:

@@ -119,9 +119,6 @@ def decode(stream: bytes, sizes: list[int] | None = None) -> list[Event | Skippe
     return [*events, *decoder.finish()]
 
 
-# Bytes from the reference -------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("command", "line"), TEXT_COMMANDS)
 def test_text_commands(command: Command, line: bytes) -> None:
     assert encode(command) == line
@@ -181,9 +178,6 @@ def test_releases_compare_by_number() -> None:
     assert release("0.0.2.10") > release("0.0.2.9")
     assert release(" 0.0.3.2-b ") == (0, 0, 3, 2)
     assert release("hello") == ()
-
-
-# However it comes ---------------------------------------------------------------------------------------------------
 
 
 def test_whole_one_byte_at_a_time_and_merged() -> None:
@@ -277,9 +271,6 @@ def test_events_do_not_depend_on_how_the_stream_is_cut(pieces: list[bytes], size
     assert skipped_bytes(cut) == skipped_bytes(whole) <= len(stream)
     reasons = [[e.reason for e in events if isinstance(e, Skipped) and e.reason != "noise"] for events in (whole, cut)]
     assert reasons[0] == reasons[1]
-
-
-# Faults -------------------------------------------------------------------------------------------------------------
 
 
 def flips(data: bytes, *bits: int) -> bytes:

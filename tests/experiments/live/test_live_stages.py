@@ -52,8 +52,6 @@ from deformscope.stages.map.exploration import StageFailure, SurfaceEstimate, To
 from deformscope.stages.see.tactile import TactileContact
 from deformscope_drivers.clock import Stamp, monotonic_ns
 
-# A worker that the test itself ends -----------------------------------------------------------------------------------
-
 
 class ByHand:
     """Computes nothing until the test says so."""
@@ -187,9 +185,6 @@ def test_a_process_that_dies_is_a_failure_too() -> None:
     assert after.result == 4
 
 
-# Why a stage gives nothing, and how late it is -----------------------------------------------------------------------
-
-
 def at(time_s: float, index: int, device: str = "pads") -> TactileFrame:
     return dataclasses.replace(pads(index, device), stamp=Stamp(round(time_s * 1e9)))
 
@@ -319,9 +314,6 @@ def test_flow_is_from_the_image_used_before_and_beta_from_the_first() -> None:
 def test_frames_are_named_by_stretches() -> None:
     frames = [pads(4), pads(5), pads(6), pads(2, "arm"), pads(7)]
     assert used_frames(frames) == (UsedFrames("arm", 2, 2), UsedFrames("pads", 4, 7))
-
-
-# Known answers --------------------------------------------------------------------------------------------------------
 
 
 def foam(pressed_px: float = 0.0, height: int = 240, width: int = 320) -> ImageArray:
@@ -491,9 +483,6 @@ def test_a_force_across_the_way_of_the_arm_is_refused() -> None:
         compute(stage, stage.packed(aside))
 
 
-# What a rig must have -------------------------------------------------------------------------------------------------
-
-
 def test_a_device_that_is_missing_is_named(tmp_path: Path) -> None:
     path = tmp_path / "rig.toml"
     path.write_text('[devices.pads]\ndriver = "dsa"\ndouble = true\n')
@@ -524,8 +513,6 @@ def test_a_stage_of_a_squeeze_is_refused_with_the_reason(name: Any) -> None:
     ):
         for_rig(LiveOptions((name,)), load_rig("lab:bench"))
 
-
-# Recorded, read back, computed again ----------------------------------------------------------------------------------
 
 PADS = (Pad("thumb_distal", 4, 3, (3.4e-3, 3.4e-3), 0, 1, 1),)
 STREAMS = (Stream("camera", "color", "webcam"), Stream("pads", "tactile", "dsa", pads=PADS, full_scale_pa=3000.0))

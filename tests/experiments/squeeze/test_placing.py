@@ -173,9 +173,6 @@ def test_what_is_recorded_is_read_again_as_it_was_and_is_shown(good: PlacedTrial
     assert memory.num_msgs() > len(results)
 
 
-# The arm while the fingers squeeze -----------------------------------------------------------------------------------
-
-
 class Struck:
     """A fault of the arm and when it came. trial: a Jaco's, in whose phase `phase` it comes"""
 
@@ -347,9 +344,6 @@ def test_an_arm_that_cannot_be_watched_any_more_is_a_stop_with_its_reason(monkey
     assert "close" not in trial.phases
 
 
-# Before it moves -----------------------------------------------------------------------------------------------------
-
-
 def test_an_arm_that_was_moved_while_a_person_was_asked_does_not_set_out() -> None:
     trial = PlacedTrial("jaco")
     trial.asks = lambda: turned(3, 4.0)(jaco_of(trial))
@@ -422,9 +416,6 @@ def test_an_arm_that_is_lost_before_its_first_command_stops_the_run_with_its_rea
     assert found.stop.kind == "link lost"
     assert found.stop.advice
     assert "travel" not in trial.phases
-
-
-# Fingers as a force sensor -------------------------------------------------------------------------------------------
 
 
 def test_an_array_that_says_the_same_force_for_long_is_stuck_and_one_at_rest_is_not(good: PlacedTrial) -> None:

@@ -219,9 +219,6 @@ def test_a_finger_that_cannot_reach_its_pre_shape_is_refused() -> None:
     stopped(session, SqueezeFault.PRESHAPE)
 
 
-# Arrays that contradict the fingers -----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("fingers", "bytes_per_s"), [((0, 2), None), ((2,), 11_520.0)])
 @pytest.mark.parametrize(
     ("phase", "fault"),

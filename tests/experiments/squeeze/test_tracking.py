@@ -147,9 +147,6 @@ def test_the_change_of_depth_around_the_fingertip_is_data_minus_model() -> None:
     assert np.isnan(before.change.since_s)
 
 
-# Beside the loop -----------------------------------------------------------------------------------------------------
-
-
 class Slow(Executor):
     """Is done with what it was given when it is told so."""
 

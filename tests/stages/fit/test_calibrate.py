@@ -250,9 +250,6 @@ def test_unusable_observations_are_refused(spoil: object, words: str) -> None:
         dataclasses.replace(seen, **spoil(seen))  # type: ignore[operator]
 
 
-# Finite element data -------------------------------------------------------------------------------------------------
-
-
 def _block(path: Path) -> Observation:
     with np.load(path) as file:
         rest = file["X_grid"].reshape(-1, 2)

@@ -78,9 +78,6 @@ def swapped(seen: Observation) -> Observation:
     return dataclasses.replace(seen, deformed=seen.rest + (seen.deformed - seen.rest)[:, ::-1])
 
 
-# Of numbers ----------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("found", "allows", "left"),
     [
@@ -218,9 +215,6 @@ def test_each_turn_of_the_columns_is_another_one(dim: int) -> None:
     every = [sign * matrix for _, matrix in turns(dim) for sign in (1.0, -1.0)] + [np.eye(dim), -np.eye(dim)]
     assert all(np.abs(a - b).max() > 0.5 for i, a in enumerate(every) for b in every[i + 1 :])
     assert all(np.allclose(matrix @ matrix.T, np.eye(dim)) for matrix in every)
-
-
-# Of fits -------------------------------------------------------------------------------------------------------------
 
 
 def test_one_material_raises_no_reason() -> None:

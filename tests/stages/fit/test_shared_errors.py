@@ -30,9 +30,6 @@ def rate(sharing: Sharing, cases: int) -> tuple[float, float, float, float]:
     return held / cases, float(root[0]), float(root[1]), float(np.median(width))
 
 
-# -- weights ----------------------------------------------------------------------------------------------------------
-
-
 def evenly(rho: float, most: float | None = None) -> Shared:
     """Any two frames share as much."""
     return Shared(rho, rho if most is None else most, rho, 0.0)
@@ -111,9 +108,6 @@ def test_frames_of_the_posterior_are_few_and_no_less_honest() -> None:
     assert len(rows) <= 8
     assert rows[-1] == 19
     assert weight @ found.information[rows] ** 2 <= found.weight @ found.information**2
-
-
-# -- the fit ----------------------------------------------------------------------------------------------------------
 
 
 def test_frames_that_run_together_are_what_they_are_alone() -> None:

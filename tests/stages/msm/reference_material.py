@@ -27,9 +27,6 @@ class Yielding:
     maximum: float = np.inf
 
 
-# Anisotropy ----------------------------------------------------------------------------------------------------------
-
-
 def axis_weight(cluster: RestCluster, beta: AxisBeta, plastic: FloatArray | None = None) -> FloatArray:
     """W of a cluster (d, d), by its definition: the stiffness of two compliances in series, within the cluster's span.
 
@@ -87,9 +84,6 @@ def axis_reaction(x: FloatArray, rest: Rest, beta: AxisBeta) -> FloatArray:
     return force
 
 
-# Goals of a body that may have yielded -------------------------------------------------------------------------------
-
-
 def yielded(rest: Rest, plastic: Sequence[FloatArray], basis: Basis = "linear") -> Rest:
     """The body with rest vectors S^p q in each cluster (Müller 2005, section 4.5). plastic: (C, d, d)."""
     changed = [
@@ -141,9 +135,6 @@ def relax(
     )
     assert left <= 100.0 * tolerance, left
     return found
-
-
-# Flow ----------------------------------------------------------------------------------------------------------------
 
 
 def stretch(x: FloatArray, cluster: RestCluster, plastic: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -210,9 +201,6 @@ def bounded(plastic: FloatArray, span: FloatArray, maximum: float) -> FloatArray
         return identity
     share = brentq(lambda s: float(np.linalg.norm(toward(s) - identity, 2)) - maximum, 0.0, 1.0, xtol=1e-15)
     return toward(float(share))
-
-
-# Time ----------------------------------------------------------------------------------------------------------------
 
 
 def step(

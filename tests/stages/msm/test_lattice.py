@@ -367,9 +367,6 @@ def test_far_away_and_turned_half_round_goals_keep_their_digits(
         np.testing.assert_allclose(found[-1], expected, rtol=0.0, atol=limit)
 
 
-# -- what does not matter ---------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("count", [1, 5])
 @pytest.mark.parametrize("name", ["plane with holes", "masses, holes, shuffled", "space, as wide as two axes"])
 def test_goals_do_not_depend_on_what_was_asked_before(device: str, precision: Precision, name: str, count: int) -> None:
@@ -459,9 +456,6 @@ def test_runs_repeat_bit_for_bit(device: str, precision: Precision) -> None:
                 ends.append(engine.step(engine.start(count), moved, beta, 0.3, volume="project", steps=9))
         for first, second in zip(ends[: len(ends) // 2], ends[len(ends) // 2 :], strict=True):
             np.testing.assert_array_equal(first, second)
-
-
-# -- which bodies are lattices ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("kind", ["uneven", slow("quadratic")])

@@ -29,9 +29,6 @@ def _rest(body: Pushed, size: int = 3, mass: FloatArray | None = None) -> Rest:
     return reference.build_rest(body.rest, body.clusters(size), body.held, mass)
 
 
-# The energy ----------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("shape", "size"), [*BODIES, ((5, 4, 1), 3)])
 def test_reaction_is_the_gradient_of_the_energy(shape: tuple[int, ...], size: int) -> None:
     rng = np.random.default_rng(1)
@@ -97,9 +94,6 @@ def test_weights_lie_between_nothing_and_the_moments(dim: int) -> None:
             np.testing.assert_allclose(c, 0.0, atol=1e-9)
         if (beta == 1.0).all():
             np.testing.assert_allclose(c[0, 0], np.eye(dim), atol=1e-9)
-
-
-# The engine ----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("shape", "size"), slow_but(BODIES[:2], BODIES))

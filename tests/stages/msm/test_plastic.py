@@ -48,9 +48,6 @@ PLANE_FIRST = [SHAPES[0], slow(SHAPES[1])]
 """For many candidates, whose kernels in space nothing else compiles."""
 
 
-# Against the reference -----------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("volume", "theta"), [("scale", 0.0), ("scale", 0.4), ("project", 0.6)])
 @pytest.mark.parametrize("basis", ["linear", slow("quadratic")])
 @pytest.mark.parametrize("shape", SHAPES)
@@ -136,9 +133,6 @@ def test_candidates_side_by_side_are_those_alone(device: str) -> None:
         np.testing.assert_allclose(together.plastic[row], alone.plastic[0], rtol=0.0, atol=limit)
         np.testing.assert_allclose(found.position[row], expected.position[0], rtol=0.0, atol=limit * SPACING_M)
         np.testing.assert_allclose(found.strain[row], expected.strain[0], rtol=0.0, atol=1e-9)
-
-
-# When it yields, and what is kept ------------------------------------------------------------------------------------
 
 
 def _same(device: str, found: FloatArray, expected: FloatArray, limit: float) -> None:

@@ -67,9 +67,6 @@ def _hard_cases(dim: int) -> FloatArray:
     return np.stack([*even, *ones, *last, *first])
 
 
-# -- the nearest matrix of measure 1 ---------------------------------------------------------------------------------
-
-
 def test_nearest_matrices_by_hand() -> None:
     def nearest(*diagonal: float, span_count: int | None = None) -> FloatArray:
         b = np.diag(diagonal)
@@ -144,8 +141,6 @@ def test_hard_cases_stay_finite_and_of_measure_1() -> None:
             if s[0] < 1e5:  # beyond, the rounding of the largest value is as large as the smallest one
                 assert _measure(p, span_count) == pytest.approx(1.0, rel=1e-3)
 
-
-# -- the goals and their energy ---------------------------------------------------------------------------------------
 
 BODIES: list[tuple[tuple[int, ...], int, reference.Basis]] = [
     ((4, 3, 3), 2, "linear"),
@@ -291,9 +286,6 @@ def test_overlapping_clusters_pressed_flat_come_to_rest(beta: float) -> None:
         assert residual < 1e-9
         widths.append(np.ptp(x.reshape(*shape, 3)[:, :, 2, 0], axis=0).mean())
     assert widths[0] < widths[1] < widths[2]
-
-
-# -- warp -------------------------------------------------------------------------------------------------------------
 
 
 @functools.cache

@@ -34,9 +34,6 @@ def _rms(rows: FloatArray) -> FloatArray:
     return np.sqrt(np.mean(np.sum(rows**2, axis=-1), axis=-1))
 
 
-# -- never silently wrong --------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Press:
     """A lattice between two plates, of which the upper comes down, a little unevenly so that nothing is symmetric.
@@ -223,9 +220,6 @@ def test_with_projection_larger_pressed_bodies_converge(device: str, shape: tupl
     assert _left(press, found, found.converged, "project").max() < 1e-9 * engine.extent
 
 
-# -- what a static state depends on, and what not --------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("volume", "theta"), MODES)
 @pytest.mark.parametrize("shape", [(6, 7), (4, 4, 4)])
 def test_the_start_does_not_matter(device: str, shape: tuple[int, ...], volume: Volume, theta: float) -> None:
@@ -332,9 +326,6 @@ def test_masses_weigh_as_in_the_reference(device: str, grouping: str, volume: Vo
     assert np.abs(states[3] - states[0]).max() > 1e-3 * engine.extent
 
 
-# -- the estimate of the error ---------------------------------------------------------------------------------------
-
-
 ERROR_CASES = 30
 """For each way to conserve volume."""
 
@@ -373,9 +364,6 @@ def test_a_tolerance_that_rounding_forbids_is_no_divergence(device: str, shape: 
     assert not found.diverged.any()
 
 
-# -- time limit and progress -----------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("volume", "theta"), [*MODES, pytest.param("scale", 0.3, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("shape", [(12, 12, 12), (22, 22, 22)])
 def test_a_solve_whose_time_is_over_says_so_and_what_is_left(
@@ -407,9 +395,6 @@ def test_one_long_solve_tells_that_it_runs(device: str, monkeypatch: Patch, volu
     assert found.converged.all()
     assert seen[-1] == (1, 1)
     assert seen.count((0, 1)) > 3  # within its linear equations, too
-
-
-# -- warm starts -----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("volume", "theta"), [*MODES, pytest.param("scale", 0.3, marks=pytest.mark.slow)])

@@ -34,9 +34,6 @@ def constant(dx: float, dy: float, shape: tuple[int, int] = IMAGE) -> FlowField:
     return analytic_flow(lambda x, y: (0 * x + dx, 0 * y + dy), shape)
 
 
-# --- rectangles, masks, seeding -------------------------------------------------------------------------------------
-
-
 def test_rect_contains_its_edge() -> None:
     xy = np.array([[10.0, 5.0], [30.0, 9.0], [30.1, 9.0], [20.0, 4.9]])
     np.testing.assert_array_equal(Rect(10, 5, 20, 4).contains(xy), [True, True, False, False])
@@ -112,9 +109,6 @@ def test_refuses_to_seed(settings: dict[str, object], said: str) -> None:
         seed_grid(IMAGE, **settings)  # type: ignore[arg-type]
 
 
-# --- held groups ----------------------------------------------------------------------------------------------------
-
-
 @pytest.fixture
 def grid() -> ParticleGrid:
     """Four rows of five, 10 px apart, the first at (5, 5)."""
@@ -161,9 +155,6 @@ def test_sides_are_the_outermost_that_exist() -> None:
 def test_refuses_to_hold(grid: ParticleGrid, groups: list[str], contact: Rect | None, said: str) -> None:
     with pytest.raises(InputError, match=said):
         select_held(grid, groups, contact)
-
-
-# --- sampling and tracking ------------------------------------------------------------------------------------------
 
 
 def test_samples_a_plane_exactly_and_nothing_outside() -> None:
@@ -253,9 +244,6 @@ def test_noise_is_read_from_residuals_and_adds_in_quadrature() -> None:
 def test_refuses_flows_of_two_sizes(grid: ParticleGrid) -> None:
     with pytest.raises(InputError, match="one size"):
         advance(start(grid), constant(0, 0), constant(0, 0, (50, 50)))
-
-
-# --- on images ------------------------------------------------------------------------------------------------------
 
 
 def texture(x: Array, y: Array, seed: int = 0) -> Array:

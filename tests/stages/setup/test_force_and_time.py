@@ -119,9 +119,6 @@ def test_a_hanging_weight_is_found_from_free_air_in_some_poses() -> None:
         hanging_weight(felt, np.array([turns[0]] * 5), R)
 
 
-# Clocks ---------------------------------------------------------------------------------------------------------------
-
-
 def tap(time_s: FloatArray, at_s: FloatArray) -> FloatArray:
     """Short blows."""
     return np.exp(-0.5 * ((time_s[:, None] - at_s) / 0.02) ** 2).sum(axis=1)

@@ -45,9 +45,6 @@ def test_moved_and_deviation_are_each_other_s_reverse() -> None:
     assert deviation(T, moved(T, off)) == pytest.approx(off)
 
 
-# A table --------------------------------------------------------------------------------------------------------------
-
-
 def test_three_exact_corners_give_the_table() -> None:
     random = np.random.default_rng(0)
     T = somewhere(random)
@@ -102,8 +99,6 @@ def test_corners_that_say_nothing_of_a_table_are_refused() -> None:
     with pytest.raises(InputError, match="apart"):
         place(good_m[[0, 0, 2]], [0, 1, 2], RADIUS_M)
 
-
-# A tip ----------------------------------------------------------------------------------------------------------------
 
 TIP_M = np.array([0.004, -0.003, 0.105])
 

@@ -31,9 +31,6 @@ def missing(table: LabelledTable) -> dict[str, np.ndarray]:
     return {name: table.missing(name) for name in table.modalities}
 
 
-# Leakage -------------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("classes", "columns"), [(2, 5), slow(4, 80)])
 def test_random_labels_give_every_classifier_the_no_information_rate(classes: int, columns: int) -> None:
     options = dataclasses.replace(FAST, splits=16, level=0.99, protocols=("random", "stratified"))
@@ -84,9 +81,6 @@ def test_copies_across_a_split_are_refused_by_name() -> None:
         evaluate(table, FAST)
 
 
-# As good as others ---------------------------------------------------------------------------------------------------
-
-
 def one_nearest(table: LabelledTable, splits: Sequence[Split]) -> FloatArray:
     """(J,) accuracy of scikit-learn's 1-nearest-neighbour on standardised features."""
     features = np.concatenate(list(table.modalities.values()), axis=1)
@@ -117,9 +111,6 @@ def test_at_least_as_good_as_the_nearest_neighbour(name: str) -> None:
     found, _ = difference(best.split_accuracy, one_nearest(table, splits), split_ratio(splits), 0.9)
     assert found.value >= -0.002
     assert best.accuracy.interval[0] < best.accuracy.value < best.accuracy.interval[1] or best.accuracy.value == 1.0
-
-
-# Fusion --------------------------------------------------------------------------------------------------------------
 
 
 def test_late_fusion_knows_what_neither_modality_knows() -> None:
@@ -179,9 +170,6 @@ def test_with_a_modality_switched_off_the_other_answers() -> None:
     touch, late = found["touch", "pooled"], found["touch+vision", "late-fusion"]
     np.testing.assert_array_equal(late.answer, touch.answer)
     np.testing.assert_allclose(late.sure, touch.sure, rtol=1e-12)
-
-
-# The rest ------------------------------------------------------------------------------------------------------------
 
 
 def test_too_few_samples_are_words_not_crashes() -> None:

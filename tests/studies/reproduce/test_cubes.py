@@ -129,9 +129,6 @@ def test_finite_elements_are_linear_and_keep_the_plates() -> None:
     assert (time.resolution, cubes[1].resolution, depths_of(cubes)) == ("5^3", "5^3", [0.01, 0.03])
 
 
-# Pair files ----------------------------------------------------------------------------------------------------------
-
-
 def pair(**more: object) -> bytes:
     cube = of_the_model(0.3, side=4)
     raw = io.BytesIO()
@@ -168,9 +165,6 @@ def test_points_without_a_lattice_and_boxes_have_a_name_too() -> None:
     one = examine(cloud, CubeFit(), True)
     assert one.theta.converged
     assert one.overlapping is not None
-
-
-# Summaries -----------------------------------------------------------------------------------------------------------
 
 
 def test_standard_error_of_the_mean() -> None:
@@ -232,9 +226,6 @@ def test_the_dense_curve_is_the_error_in_any_number_of_parts() -> None:
     body = MODEL.body(cube.seen)
     whole, some = dense_curve(cube.seen, body, 0.99, 11), dense_curve(cube.seen, body, 0.99, 5001)
     np.testing.assert_allclose(whole.aee, some.aee[::500], rtol=1e-6)
-
-
-# Files ---------------------------------------------------------------------------------------------------------------
 
 
 def test_figures_and_tables_are_drawn(found: list[CubeResult], tmp_path: Path) -> None:
