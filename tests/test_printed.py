@@ -159,8 +159,7 @@ TABLE = ["lab:table", "  verdict    2 regions", "  region 1   0.418 N/mm (0.387 
     ],
 )
 def test_numbers_are_compared_as_they_are_printed(shown: str, same: bool) -> None:
-    one = printed.Printed(README, "deformscope x", ("...", shown, "..."))
-    assert (printed.differing(one, TABLE) == []) is same
+    assert (printed.differing(printed.Printed(README, "deformscope x", ("...", shown, "...")), TABLE) == []) is same
 
 
 def test_times_and_names_with_a_stamp_are_not_compared() -> None:

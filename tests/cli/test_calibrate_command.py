@@ -58,8 +58,7 @@ def recorded(pair: Path) -> Path:
 def frames(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four images of a speckled block, stretched upwards a little more in each; exact by construction."""
     folder = tmp_path_factory.mktemp("frames")
-    rng = np.random.default_rng(2)
-    speckle = cv2.GaussianBlur(rng.normal(128, 60, (160, 120)).astype(np.float32), (0, 0), 1.3)
+    speckle = cv2.GaussianBlur(np.random.default_rng(2).normal(128, 60, (160, 120)).astype(np.float32), (0, 0), 1.3)
     speckle = np.clip(128 + 2.5 * (speckle - 128), 0, 255).astype(np.float32)
     y, x = np.mgrid[:160, :120].astype(np.float32)
     for index in range(4):

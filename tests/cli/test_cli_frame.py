@@ -130,8 +130,7 @@ def test_an_existing_recording_is_not_written_over(name: str, tmp_path: Path, ca
         "squeeze": ["lab:containers", "--content", "rice"],
     }
     positional = [] if name == "demo" else ["x.npz"]
-    args = [*name.split(), *needed.get(name, positional)]
-    assert cli.main([*args, "--viewer", "none", "--record", str(kept)]) == 2
+    assert cli.main([*name.split(), *needed.get(name, positional), "--viewer", "none", "--record", str(kept)]) == 2
     assert "a new file after --record; got one that exists" in one_line(capsys)
     assert kept.read_bytes() == b"kept"
 

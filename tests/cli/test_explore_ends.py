@@ -323,8 +323,7 @@ def test_terminal_json_panel_and_map_file_give_the_same_numbers(
     from deformscope.stages.map.exploration import MapEstimate
 
     record, told, arrays = tmp_path / "e.rrd", tmp_path / "e.json", tmp_path / "e.npz"
-    outputs = ["--record", str(record), "--json", str(told), "--map", str(arrays)]
-    assert main([*EXPLORE, *outputs, "--seed", "5"]) == 0
+    assert main([*EXPLORE, "--record", str(record), "--json", str(told), "--map", str(arrays), "--seed", "5"]) == 0
     shown, found = capsys.readouterr().out, json.loads(told.read_text())
     *_, last = (one.item for one in read_results(record, (MapEstimate,)))
     assert isinstance(last, MapEstimate)

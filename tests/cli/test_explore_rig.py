@@ -141,8 +141,7 @@ def test_a_real_arm_does_not_move_unless_somebody_says_yes(rig: Path, capsys: Ca
 @pytest.mark.usefixtures("simulated_clock")
 def test_an_arm_that_is_not_calibrated_does_not_move(rig: Path, capsys: Capture, monkeypatch: Patch) -> None:
     rig.write_text(rig.read_text().replace("compliance_m_per_n = 2e-4\ncompliance_sd = 2e-5", ""))
-    calibrated = {"[tool] compliance_m_per_n": False, "[camera] T_arm_camera": False}
-    count_as_real(monkeypatch, calibrated=calibrated)
+    count_as_real(monkeypatch, calibrated={"[tool] compliance_m_per_n": False, "[camera] T_arm_camera": False})
     assert main(["explore", str(rig), "--touches", "1", "--yes", "--record", "r.rrd"]) == 2
     assert not list(rig.parent.glob("*.rrd"))  # there was nothing to record yet
     said = capsys.readouterr().err

@@ -68,8 +68,7 @@ def test_every_camera_gets_a_folder_and_distances_are_16_bit(tmp_path: Path, cap
     items += [rig.depth(i, "above all/1", colored=True, size=(24, 32)) for i in range(3)]
     path, out = rig_recording(tmp_path / "r.rrd", items), tmp_path / "out"
     assert main(["export", str(path), "--images", str(out), "--json", "-"]) == 0
-    found = json.loads(capfd.readouterr().out)
-    told = [(one["device"], one["what"], one["count"]) for one in found["images"]]
+    told = [(one["device"], one["what"], one["count"]) for one in json.loads(capfd.readouterr().out)["images"]]
     assert told == [("above all/1", "color", 3), ("above all/1", "depth", 3), ("front", "image", 2)]
     written = {folder.name: len(list(folder.iterdir())) for folder in out.iterdir() if folder.is_dir()}
     assert written == {"above_all_1": 3, "above_all_1-color": 3, "front": 2}

@@ -167,8 +167,7 @@ def test_a_request_to_end_is_heard(tmp_path: Path, name: str, number: signal.Sig
 def test_nohup_is_left_alone() -> None:
     code = "import signal; from deformscope.cli import main; main(['--version']); print(signal.getsignal(1).name)"
     command = ["nohup", sys.executable, "-c", code]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=True)
-    assert "SIG_IGN" in done.stdout
+    assert "SIG_IGN" in subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=True).stdout
 
 
 def test_a_run_that_was_killed_leaves_no_stray_file(tmp_path: Path) -> None:

@@ -49,8 +49,7 @@ def test_a_poke_is_predicted_with_particles_and_force(folder: Path, capsys: Capt
     poke = "at=0.1,0.08 tip=flat size=0.04x0.02 force=1; at=0.08,0.08 depth=0.001"
     flags = ["--poke", poke, "--out", str(out), "--picture", str(picture), "--json", "-"]
     assert main(["predict", str(folder / "model.npz"), *flags]) == 0
-    told = json.loads(capsys.readouterr().out)
-    first, second = told["predictions"]
+    first, second = json.loads(capsys.readouterr().out)["predictions"]
     assert first["force_n"] == pytest.approx(1.0, rel=5e-3)
     assert first["force_interval_n"][0] < 1.0 < first["force_interval_n"][1]
     assert first["poke"]["size_m"] == [0.04, 0.02]

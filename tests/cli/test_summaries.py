@@ -32,8 +32,7 @@ def pair(tmp_path: Path) -> Path:
 
 def summaries(arguments: list[str], folder: Path) -> tuple[np.ndarray, Page, str]:
     """What a command has drawn and told."""
-    files = ["--picture", str(folder / "p.png"), "--report", str(folder / "r.html")]
-    assert main([*arguments, *FAST, *files]) == 0
+    assert main([*arguments, *FAST, "--picture", str(folder / "p.png"), "--report", str(folder / "r.html")]) == 0
     picture = cv2.imread(str(folder / "p.png"))
     assert picture.std() > 20
     text = (folder / "r.html").read_text(encoding="utf-8")

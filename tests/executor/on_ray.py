@@ -69,8 +69,7 @@ def swept(cluster: Cluster, node: dict[str, object], folder: Path) -> dict[str, 
     found = ds.sweep(mean_of, folder, out=out, executor="ray", address=at, send=True, progress=kill)
     rows = {row["source"]: row["mean"] for row in found.table.to_pylist()}
     equal = rows == {str(path.resolve()): mean_of(str(path))["mean"] for path in folder.glob("*.npz")}
-    lines = (out / "tasks.jsonl").read_text().splitlines()
-    return {"equal": equal, "lines": len(lines), "seconds": found.seconds}
+    return {"equal": equal, "lines": len((out / "tasks.jsonl").read_text().splitlines()), "seconds": found.seconds}
 
 
 def typed(cluster: Cluster, node: dict[str, object], folder: Path) -> dict[str, object]:

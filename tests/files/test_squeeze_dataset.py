@@ -49,8 +49,7 @@ def test_what_is_added_comes_back_to_the_last_bit(tmp_path: Path) -> None:
 
 
 def test_a_table_leaves_discarded_trials_out_and_marks_a_missing_modality(tmp_path: Path) -> None:
-    made = dataset(tmp_path, trial(1), trial(2, "empty", "box-02"), trial(3, discarded="over-squeezed"))
-    table = made.table()
+    table = dataset(tmp_path, trial(1), trial(2, "empty", "box-02"), trial(3, discarded="over-squeezed")).table()
     assert list(table.label) == ["rice", "empty"]
     assert list(table.group) == ["box-01", "box-02"]  # type: ignore[arg-type]
     assert np.isnan(table.modalities["vision"]).all(axis=1).tolist() == [False, True]

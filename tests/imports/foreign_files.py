@@ -355,8 +355,7 @@ def messages(draw: Draw, types: Any, ros1: bool) -> dict[str, tuple[str, Callabl
         return types["sensor_msgs/msg/PointCloud2"](header(at), height, width, fields, big, step, row, data, True)
 
     def thing(at: int) -> Any:
-        empty = types["std_msgs/msg/Empty"]()
-        return types["other_msgs/msg/Thing"]([empty] * draw.size(1, 64), draw.real(1.0))
+        return types["other_msgs/msg/Thing"]([types["std_msgs/msg/Empty"]()] * draw.size(1, 64), draw.real(1.0))
 
     return {
         "/ft": ("geometry_msgs/msg/WrenchStamped", wrench, "wrench"),

@@ -464,8 +464,7 @@ def test_points_of_any_type_are_read(form: str, kind: str, tmp_path: Path) -> No
     """Open3D 0.20 takes eight bytes in binary as 0."""
     (tmp_path / "a.pcd").write_bytes(pcd_of(form, kind, [[1, 2, 3], [4, 5, 100]]))
     assert read_points(tmp_path / "a.pcd").tolist() == [[[1, 2, 3], [4, 5, 100]]]
-    wide = pcd_of(form, kind, [[9, 9, 3, 2, 1], [9, 9, 6, 5, 4]], "_ z y x", "2 1 1 1")
-    (tmp_path / "a.pcd").write_bytes(wide)
+    (tmp_path / "a.pcd").write_bytes(pcd_of(form, kind, [[9, 9, 3, 2, 1], [9, 9, 6, 5, 4]], "_ z y x", "2 1 1 1"))
     assert read_points(tmp_path / "a.pcd").tolist() == [[[1, 2, 3], [4, 5, 6]]]
 
 

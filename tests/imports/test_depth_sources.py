@@ -223,8 +223,7 @@ def test_counts_are_of_the_unit_that_their_camera_states(image: str, unit: str, 
     counts = np.rint(TRUE_M / unit_m).astype(np.uint16)
     source = stated(raw("mono16", counts, image), unit, unit_m).write(tmp_path / "bag")
     text = "".join(f"[[streams]]{one}" for one in inspected(source).split("[[streams]]")[1:])
-    found = first(imported(source, text, tmp_path / "r.rrd"))
-    np.testing.assert_allclose(found, TRUE_M, atol=unit_m)
+    np.testing.assert_allclose(first(imported(source, text, tmp_path / "r.rrd")), TRUE_M, atol=unit_m)
 
 
 def test_units_that_are_unknown_or_contradict_are_asked_for(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -280,8 +279,7 @@ def test_a_stream_in_which_nothing_is_seen_is_a_loss_with_its_likely_reason(
     assert "all its values are 0" in unseen(dark, depth_map(), tmp_path / "r.rrd", capfd)
     far = raw("32FC1", np.full((4, 4), 9.0, np.float32)).write(tmp_path / "far")
     assert "beyond 65535 steps: a larger unit_m" in unseen(far, depth_map(), tmp_path / "s.rrd", capfd)
-    found = first(imported(far, depth_map(unit_m=0.001), tmp_path / "t.rrd"))
-    np.testing.assert_allclose(found, 9.0)
+    np.testing.assert_allclose(first(imported(far, depth_map(unit_m=0.001), tmp_path / "t.rrd")), 9.0)
     write_ply(tmp_path / "away" / "1.ply", cloud() + np.array([5.0, 0.0, 0.0]))
     text = depth_map("*.ply", units={"points": "m"}, rate_hz=1.0, **CAMERA)
     assert "points outside the image: axes, focal_px" in unseen(tmp_path / "away", text, tmp_path / "u.rrd", capfd)

@@ -126,8 +126,7 @@ def write_bag(path: Path, *, ros1: bool = False, offset_s: float = 0.0, count: i
 
     store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
     if ros1:
-        text = "geometry_msgs/TransformStamped[] transforms"
-        store.register(get_types_from_msg(text, "tf2_msgs/msg/TFMessage"))
+        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
     types: Any = store.types
     kinds: dict[str, str] = {
         "/ft/wrench": "geometry_msgs/msg/WrenchStamped",

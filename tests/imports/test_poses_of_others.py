@@ -99,8 +99,7 @@ def test_two_frames_of_one_room_are_joined_by_it(tmp_path: Path) -> None:
     np.testing.assert_allclose(
         [one.position_m for one in frames], [[0.5, 0.0, at / 10] for at in range(1, 6)], atol=1e-12
     )
-    found = rotation_from_euler_xyz(*frames[0].rotation_rad)
-    np.testing.assert_allclose(found, turn.inv().as_matrix(), atol=1e-12)
+    np.testing.assert_allclose(rotation_from_euler_xyz(*frames[0].rotation_rad), turn.inv().as_matrix(), atol=1e-12)
 
 
 @pytest.mark.parametrize("topics", [("/tf", "/tf_static"), ("/left/tf", "/left/tf_static"), ("/left/tf", "/tf_static")])
@@ -117,8 +116,7 @@ def test_static_transforms_are_of_any_time_wherever_they_were_recorded(
             bag.add_joints(ns + MS, ["finger"], [0.02])
         if at == 50:
             bag.link(ns, "flange", "tool", (0.0, 0.0, 0.1), topic=topics[1])
-    source = bag.write(tmp_path / "bag")
-    frames = arms(imported(source, arm_map(pose=topics[0]), tmp_path / "r.rrd"))
+    frames = arms(imported(bag.write(tmp_path / "bag"), arm_map(pose=topics[0]), tmp_path / "r.rrd"))
     assert "arm        100 frames (arm), 33 messages of others left out" in capfd.readouterr().out
     expected = [[0.5, 0.0, 0.5 - at / 1000] for at in range(1, 101)]
     np.testing.assert_allclose([one.position_m for one in frames], expected, atol=1e-12)

@@ -71,8 +71,7 @@ def test_a_recording_or_ledger_that_may_not_be_read(
         for one in (path, ledger_path(path)):
             one.chmod(0)
             assert main(asked) == 2
-            error = capfd.readouterr().err.strip().splitlines()[-1]
-            assert f"the system refused: Permission denied | {one}" in error
+            assert f"the system refused: Permission denied | {one}" in capfd.readouterr().err.strip().splitlines()[-1]
             one.chmod(0o600)
 
 

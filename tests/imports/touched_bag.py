@@ -62,8 +62,7 @@ class Moments:
             down = np.arange(-UP_M, deep, 8e-6)
             way = np.concatenate([np.full(800, -UP_M), down, np.full(1000, deep), down[::-1], np.full(500, -UP_M)])
             true = np.where(way > 0.0, np.interp(way, reported, fine), way)
-            across = np.clip(np.arange(len(way)) / 700, 0.0, 1.0)[:, None]
-            place.append(before + across * (np.array([x, y]) - before))
+            place.append(before + np.clip(np.arange(len(way)) / 700, 0.0, 1.0)[:, None] * (np.array([x, y]) - before))
             before = np.array([x, y])
             dent.append(way)
             force.append(force_of(true, x))

@@ -63,8 +63,7 @@ def test_the_surface_moves_as_the_contact_says() -> None:
     centre_m = np.array([0.11, 0.1, scene.thickness_m + RADIUS_M - 0.006])
     contact = world.press(TIP, centre_m)
     place = contact.place_m + world.displaced_m(contact, contact.place_m[:, :2]) * UP
-    rest_away = np.linalg.norm((contact.place_m - centre_m)[:, :2], axis=1)
-    wanted = centre_m[2] - np.sqrt(RADIUS_M**2 - rest_away**2)
+    wanted = centre_m[2] - np.sqrt(RADIUS_M**2 - np.linalg.norm((contact.place_m - centre_m)[:, :2], axis=1) ** 2)
     np.testing.assert_allclose(place[:, 2], wanted, atol=6e-5)
 
 
@@ -114,8 +113,7 @@ def _fine_log_stiffness(scene: Scene, aside_m: float) -> float:
     held[place[:, 1] < 0.1 + 1e-9, 1] = True
     free = np.flatnonzero(~held.ravel())
     free = free[dissected(place[free // 3], axes)]
-    stiffness = stiffness_of(basis, modulus.mean(axis=0), np.full(len(corner[0, 0]), scene.poisson))
-    own = stiffness[free][:, free].tocsc()
+    own = stiffness_of(basis, modulus.mean(axis=0), np.full(len(corner[0, 0]), scene.poisson))[free][:, free].tocsc()
     factors = splu(own, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     away = np.linalg.norm(place[:, :2] - (0.1 + aside_m, 0.1), axis=1)
     node = np.flatnonzero((place[:, 2] > scene.thickness_m - 1e-9) & (away < 0.0105))

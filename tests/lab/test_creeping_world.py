@@ -17,8 +17,7 @@ MIDDLE_M = np.array([[0.3, 0.2]])
 
 def test_a_dent_that_is_held_relaxes_as_the_material_does_and_recovers_slowly() -> None:
     """Dented at once, every force is the elastic one times E(t) / E0 (correspondence principle), whatever the steps."""
-    relaxation = Relaxation((0.2, 0.1), (0.5, 2.0))
-    world, elastic = CreepingWorld(SCENE, relaxation), SlabWorld(SCENE).press(TIP, PRESSED_M)
+    world, elastic = CreepingWorld(SCENE, Relaxation((0.2, 0.1), (0.5, 2.0))), SlabWorld(SCENE).press(TIP, PRESSED_M)
     world.at(1e-9)
     assert world.press(TIP, PRESSED_M).normal_force_n == pytest.approx(elastic.normal_force_n, rel=1e-6)
     for time_s in (0.01, 0.1, 0.5, 0.6, 3.0):

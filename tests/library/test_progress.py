@@ -156,6 +156,5 @@ def test_only_the_greeting_of_warp_is_left_out(capfd: Capture, monkeypatch: Patc
 
 def test_the_library_redirects_no_stream_of_the_process() -> None:
     """`contextlib.redirect_stderr` does so for all threads; a command may, before it begins (`deformscope.cli`)."""
-    package = Path(ds.__file__).parent
-    code = {path: path.read_text() for path in package.rglob("*.py") if path.parent.name != "cli"}
+    code = {path: path.read_text() for path in Path(ds.__file__).parent.rglob("*.py") if path.parent.name != "cli"}
     assert [path for path, text in code.items() if "redirect_std" in text] == []

@@ -26,8 +26,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     body, path = pushed((4, 5), np.random.default_rng(1)), tmp_path_factory.mktemp("fit") / "run.rrd"
     spec = reference.build_rest(body.rest, body.clusters(3), body.held)
     deformed, _ = reference_states.relax(spec, body.held_position, beta=0.6)
-    pair = {"rest": body.rest, "deformed": deformed, "held": body.held}
-    ds.calibrate_beta(pair, candidates=12, record=path)
+    ds.calibrate_beta({"rest": body.rest, "deformed": deformed, "held": body.held}, candidates=12, record=path)
     return path
 
 

@@ -273,8 +273,7 @@ def test_nothing_that_moves_is_static(tmp_path: Path) -> None:
 
 def test_phases_are_states_of_one_lane(tmp_path: Path) -> None:
     record(tmp_path / "run.rrd", [(k, 1, [PhaseStart(name, 0)]) for k, name in enumerate(("look", "travel", "press"))])
-    found = cells(tmp_path / "run.rrd", "/exploration/phase", "StateChange:state")
-    assert found == [["look"], ["travel"], ["press"]]
+    assert cells(tmp_path / "run.rrd", "/exploration/phase", "StateChange:state") == [["look"], ["travel"], ["press"]]
 
 
 def test_why_it_was_stopped_is_data_a_line_of_text_and_a_red_state(tmp_path: Path) -> None:

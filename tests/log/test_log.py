@@ -82,8 +82,7 @@ def test_arrows_stay_on_the_specimen(recording: Path) -> None:
 
 def test_simulated_and_residuals(recording: Path) -> None:
     grid = synthetic.lattice()
-    simulated = np.array(values(recording, "/particles/simulated", "Points2D:positions", 6))
-    assert simulated.shape == grid.rest_px.shape
+    assert np.array(values(recording, "/particles/simulated", "Points2D:positions", 6)).shape == grid.rest_px.shape
     lines = np.array(values(recording, "/residual/lines", "LineStrips2D:strips", 6))
     assert lines.shape == (151, 2, 2)
     residual = np.array(values(recording, "/residual/points", "residual", 6))
@@ -183,8 +182,7 @@ def test_scales() -> None:
 def test_spacing() -> None:
     assert spacing_of(synthetic.lattice().rest_px) == pytest.approx(14.29, abs=0.1)
     assert spacing_of(np.zeros((1, 2))) == 0.0
-    flat = np.column_stack([synthetic.lattice().rest_px, np.zeros(154)])
-    assert spacing_of(flat) == pytest.approx(14.29, abs=0.1)
+    assert spacing_of(np.column_stack([synthetic.lattice().rest_px, np.zeros(154)])) == pytest.approx(14.29, abs=0.1)
 
 
 def test_the_canvas_follows_the_particles() -> None:

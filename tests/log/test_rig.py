@@ -374,8 +374,7 @@ STATES = [
 @pytest.mark.parametrize(("health", "expected"), STATES)
 def test_states_in_a_word(health: Health, expected: str) -> None:
     assert word(health, None) == expected
-    slow = Stream("x", "hand", "sdh", fastest_hz=1.0)
-    assert word(health, slow) == ("ok" if expected == "stale" else expected)
+    assert word(health, Stream("x", "hand", "sdh", fastest_hz=1.0)) == ("ok" if expected == "stale" else expected)
 
 
 def test_the_table_tells_what_is_wrong() -> None:
@@ -461,6 +460,5 @@ def test_an_arms_shape_moves_25_times_a_second(tmp_path: Path) -> None:
         for index in range(100)
     ]
     record(tmp_path / "run.rrd", [frames], [stream])
-    joints = cells(tmp_path / "run.rrd", r"/display/arm/left\ arm/joints", "Transform3D:child_frame")
-    assert len(joints) == 3 * 25
+    assert len(cells(tmp_path / "run.rrd", r"/display/arm/left\ arm/joints", "Transform3D:child_frame")) == 3 * 25
     assert len(cells(tmp_path / "run.rrd", r"/arm/left\ arm/joint_deg", "Scalars:scalars")) == 100

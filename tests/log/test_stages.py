@@ -189,8 +189,7 @@ def test_a_moment_without_motion_has_no_arrows(tmp_path: Path) -> None:
     still = [
         StageResult("flow", still[0].used, START_NS, 0, 0.0, FlowArrows(flow.at_px, 0 * flow.flow_px, flow.noise_px))
     ]
-    rows = written(tmp_path / "r.rrd", still)
-    assert rows["/display/stage/flow/camera/arrows"][0]["Arrows2D:vectors"] == []
+    assert written(tmp_path / "r.rrd", still)["/display/stage/flow/camera/arrows"][0]["Arrows2D:vectors"] == []
 
 
 def test_a_result_of_an_unknown_kind_is_a_fault() -> None:

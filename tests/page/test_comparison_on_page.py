@@ -66,8 +66,7 @@ def test_the_first_contact_is_found_by_force_pads_or_phases() -> None:
     assert first_contact_ns(rows(*forces(np.linspace(0.0, 1.0, 3000)))) is None  # it drifts
     stepped = forces(np.where(np.arange(300) < 100, 2.0, 0.0))
     assert first_contact_ns(rows(*stepped)) == S
-    tared = [*stepped[:100], SessionNote(S - 1, "tare", "tip"), *stepped[100:]]
-    assert first_contact_ns(rows(*tared)) is None
+    assert first_contact_ns(rows(*[*stepped[:100], SessionNote(S - 1, "tare", "tip"), *stepped[100:]])) is None
     pads = [
         TactileFrame(Stamp(at * S // 30), at, np.full(6, 20 if at >= 60 else 0, np.uint16), (np.zeros((2, 3)),), "pads")
         for at in range(90)

@@ -50,8 +50,7 @@ def test_a_recording_is_discarded_later(
     ]
     capsys.readouterr()
     assert verify_here(path, "--json", "-") == 0  # it is whole
-    shown = capsys.readouterr()
-    assert [one["reason"] for one in json.loads(shown.out)["discarded"]] == ["it slipped", "wrong foam"]
+    assert [one["reason"] for one in json.loads(capsys.readouterr().out)["discarded"]] == ["it slipped", "wrong foam"]
     with caplog.at_level(logging.WARNING):
         assert "wrong foam" in str(open_recording(path))
     assert [record.message for record in caplog.records if "is discarded: all of it: wrong foam" in record.message]

@@ -51,8 +51,7 @@ def record(path: Path, frames: list[ColorFrame], **options: object) -> Path:
 @pytest.mark.parametrize("deterministic", [False, True])
 def test_frames_come_back_bit_for_bit(tmp_path: Path, depth: type, deterministic: bool) -> None:
     for name, frames in (("grey", list(synthetic.frames(70, depth=depth))), ("colour", colour(5, depth))):
-        path = record(tmp_path / f"{name}.rrd", frames, deterministic=deterministic)
-        replayed = list(Replay(path).frames())
+        replayed = list(Replay(record(tmp_path / f"{name}.rrd", frames, deterministic=deterministic)).frames())
         assert [frame.stamp for frame in replayed] == [frame.stamp for frame in frames]
         assert [frame.index for frame in replayed] == [frame.index for frame in frames]
         for again, frame in zip(replayed, frames, strict=True):

@@ -34,8 +34,7 @@ def said(alarms: SensorAlarms, batches: Iterator[list[Item]]) -> list[tuple[str,
 
 
 def noise(seconds: float, sigma: float, rate_hz: float = 100.0, seed: int = 1000) -> np.ndarray:
-    random = np.random.default_rng(seed)
-    return np.rint(random.normal(5.0, sigma, (int(seconds * rate_hz), 3))).astype(np.int64)
+    return np.rint(np.random.default_rng(seed).normal(5.0, sigma, (int(seconds * rate_hz), 3))).astype(np.int64)
 
 
 def test_one_dead_axis_is_named_when_it_dies_and_when_it_lives_again() -> None:

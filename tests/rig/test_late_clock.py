@@ -85,8 +85,7 @@ def test_a_session_begins_before_its_latest_device_has_seen_anything(tmp_path: P
     ids=["late", "early", "of whom is not said"],
 )
 def test_the_later_of_two_is_put_back(lines: str, late: dict[str, int]) -> None:
-    rig = parse_rig(RIG + lines, "rig")
-    assert {entry.name: entry.late_ns for entry in rig.devices if entry.late_ns} == late
+    assert {entry.name: entry.late_ns for entry in parse_rig(RIG + lines, "rig").devices if entry.late_ns} == late
 
 
 @pytest.mark.parametrize(

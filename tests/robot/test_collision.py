@@ -185,8 +185,7 @@ def test_an_arm_stops_by_its_motors_currents_and_not_where_collisions_are_not_lo
             now_ns = number * PERIOD_NS
             currents = tuple(random.normal(0.0, 0.3, 6) + 2.0 * max(0, number - 120))
             arm = ArmSample(now_ns, np.eye(4), (0.0, -90.0, 90.0, 0.0, 45.0, 0.0), currents=currents)
-            seen = RobotObservation(now_ns, (ForceSample(now_ns, np.zeros(3), now_ns),), (arm,))
-            verdict = supervisor.judge(seen)
+            verdict = supervisor.judge(RobotObservation(now_ns, (ForceSample(now_ns, np.zeros(3), now_ns),), (arm,)))
         assert verdict.fault is fault
         assert not supervisor.sees_torques
 

@@ -90,8 +90,7 @@ def test_parts_move_with_their_joints() -> None:
         for solid in urdf.solids[link]
     ]
     described = describe(ShapeSection(urdf="j2n6s300-stick.urdf"), J2N6S300, FOLDER)
-    posed = described.solids(PLACEMENT, J2N6S300.forward(POSE_DEG))
-    found = np.array([one.vertices_m.mean(axis=0) for one in posed])
+    found = np.array([one.vertices_m.mean(axis=0) for one in described.solids(PLACEMENT, J2N6S300.forward(POSE_DEG))])
     away = np.linalg.norm(found[:, None] - np.array(expected)[None, :, :3], axis=2)
     assert away.min(axis=1).max() < 1e-4
     assert away.min(axis=0).max() < 1e-4
@@ -159,8 +158,7 @@ def joined(limit: str) -> str:
 
 def test_entities_are_refused_whatever_the_file_is_written_in(folder: Path) -> None:
     kind = "<?xml version='1.0' encoding='UTF-16'?><!DOCTYPE x [<!ENTITY a 'b'>]>"
-    text = f"{kind}<robot name='&a;'><link name='l'/></robot>"
-    (folder / "gripper.urdf").write_text(text, encoding="utf-16")
+    (folder / "gripper.urdf").write_text(f"{kind}<robot name='&a;'><link name='l'/></robot>", encoding="utf-16")
     with pytest.raises(InputError, match="document type"):
         describe(ShapeSection(gripper="gripper.urdf"), None, folder)
 

@@ -50,8 +50,7 @@ def test_the_tip_is_led_down_all_over_the_table_but_for_its_edge_at_the_arm() ->
     start_deg = ready_deg(placement)
     xs, ys = np.meshgrid(np.linspace(0.02, 0.58, 6), [0.02, 0.14, 0.26, 0.32])
     for x, y in zip(xs.flat, ys.flat, strict=True):
-        down_m = np.array([[x, y, 0.2], [x, y, 0.025]])
-        assert follow(J2N6S300, placement, down_m, start_deg=start_deg).all(), (x, y)
+        assert follow(J2N6S300, placement, np.array([[x, y, 0.2], [x, y, 0.025]]), start_deg=start_deg).all(), (x, y)
     at_the_arm_m = np.array([[0.3, 0.38, 0.2], [0.3, 0.38, 0.03]])
     assert follow(J2N6S300, placement, at_the_arm_m, start_deg=start_deg).tolist() == [True, False]
 

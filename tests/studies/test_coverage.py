@@ -72,8 +72,7 @@ def test_the_table_counts_ends_of_the_range_apart() -> None:
         return Outcome("a", dim, 3, 20, beta, low, (low, high), 0.5, "identified", 0.1)
 
     between = [outcome(0.5, 0.4, 0.6), outcome(0.5, 0.6, 0.7), outcome(0.5, 0.7, 0.8, 3)]
-    rows = coverage_rows([*between, outcome(0.0, 0.0, 0.1), outcome(0.98, 0.9, 0.99)])
-    found = {row["group"]: row for row in rows}
+    found = {row["group"]: row for row in coverage_rows([*between, outcome(0.0, 0.0, 0.1), outcome(0.98, 0.9, 0.99)])}
     assert (found["all"]["covered"].cases, found["all"]["covered"].hits) == (3, 1)
     assert found["all"]["confident_wrong"] == 1
     assert found["3D"]["covered"].cases == 1

@@ -80,8 +80,7 @@ def test_a_search_for_inclusions_leaves_smaller_holes_than_the_variance() -> Non
             place = plan.target_m if own is None else np.array(own(given, so_far(touched)))
             touched.append(place)
             posterior = posterior.with_touch(StiffnessSample(place, 0.0, 0.03))
-        away = np.min([np.hypot(*(PLACES_M - one).T) for one in touched], axis=0)
-        return float(np.minimum(away, inner).max())
+        return float(np.minimum(np.min([np.hypot(*(PLACES_M - one).T) for one in touched], axis=0), inner).max())
 
     assert hole("regions") < 0.95 * hole("max-variance")
 

@@ -42,8 +42,7 @@ def test_an_unseen_poke_of_the_model_itself_lies_within_its_intervals() -> None:
         seen = observation(body, truth(body, beta) + noise[0])
         poke = observation(other, truth(other, beta) + noise[1])
         model = Model(cluster_size=3)
-        found = calibrate([seen], FitOptions(model, candidates=30, seed=case))
-        predicted = predict(found, [seen], model, poke)
+        predicted = predict(calibrate([seen], FitOptions(model, candidates=30, seed=case)), [seen], model, poke)
         free = poke.free_observed
         inside = (predicted.low <= poke.deformed) & (poke.deformed <= predicted.high)
         hits, total = hits + int(inside[free].sum()), total + inside[free].size

@@ -79,8 +79,7 @@ def test_a_row_counts_levels_where_the_number_is_right() -> None:
 
 def test_touches_have_the_errors_of_their_session() -> None:
     """A surface touched often at one place: its gain, its arm and its own noise, and what is stated of them."""
-    gain_off = next(one for one in REGION_CONDITIONS if one.gain_at is not None)
-    surface = known_surface(gain_off, 0, RegionPrior())
+    surface = known_surface(next(one for one in REGION_CONDITIONS if one.gain_at is not None), 0, RegionPrior())
     assert abs(surface.gain) == pytest.approx(0.03)
     place = surface.places_m[77]
     made = [surface.touch(place, 0.1) for _ in range(400)]

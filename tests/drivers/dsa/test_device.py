@@ -276,8 +276,7 @@ def test_five_frames_may_come_before_an_answer() -> None:
             answer = super()._carry_out(command, now_ns)
             if isinstance(command, SetSensitivity):
                 for number in range(1, 6):
-                    frame = Reading(60_000 + 33 * number, 1, np.zeros(486, np.uint16))
-                    self._line.send(encode(frame), now_ns)
+                    self._line.send(encode(Reading(60_000 + 33 * number, 1, np.zeros(486, np.uint16))), now_ns)
             return answer
 
     desk = Desk(Late(), streaming=False, sensitivity=0.25)
@@ -287,8 +286,7 @@ def test_five_frames_may_come_before_an_answer() -> None:
 
 
 def test_sensitivity_acts() -> None:
-    double = DsaDouble(scene=press, noise_counts=0, pa_per_count=1.0)
-    desk = Desk(double, sensitivity=(0.5, 0.5, 0.5, 0.25, 0.5, 0.5))
+    desk = Desk(DsaDouble(scene=press, noise_counts=0, pa_per_count=1.0), sensitivity=(0.5, 0.5, 0.5, 0.25, 0.5, 0.5))
     with desk:
         assert desk.run(0.2)[-1].pads[3].max() == 1000
 

@@ -493,8 +493,7 @@ def shown_rates_deg_s(bench: VendorBench) -> FloatArray:
 
 
 def pose(bench: VendorBench) -> FloatArray:
-    reported = read(bench.functions, "GetCartesianPosition", CartesianPosition).Coordinates
-    x, y, z, *theta = cartesian_values(reported)
+    x, y, z, *theta = cartesian_values(read(bench.functions, "GetCartesianPosition", CartesianPosition).Coordinates)
     return kinematics.transform(Rotation.from_euler("XYZ", theta).as_matrix(), (x, y, z))
 
 

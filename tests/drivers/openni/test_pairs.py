@@ -29,8 +29,7 @@ def fed(pairs: Pairs, frames: list[Frame]) -> list[tuple[int, int | None]]:
 
 
 def test_depth_alone_goes_straight_through() -> None:
-    message = Pairs(30, wanted=False).add(depth(7, 3), 99)
-    assert message == [FrameMessage(99, 7, 3, 2, 1, 0, 0, b"\1\0\2\0", b"")]
+    assert Pairs(30, wanted=False).add(depth(7, 3), 99) == [FrameMessage(99, 7, 3, 2, 1, 0, 0, b"\1\0\2\0", b"")]
 
 
 def test_colour_first_and_depth_first() -> None:

@@ -330,8 +330,7 @@ DOUBLE_FLIPS = {
 def test_what_flips_do_to_a_reply_without_checksum() -> None:
     """On CAN the bus has its own checksum; the message has none. So what is counted is what its form gives away."""
     reply = bytes.fromhex(POS_REPLY_CAN)
-    refused = sum(not good(decode(flips(reply, bit))) for bit in range(8 * len(reply)))
-    assert refused == SINGLE_FLIPS_REFUSED_ON_CAN
+    assert sum(not good(decode(flips(reply, bit))) for bit in range(8 * len(reply))) == SINGLE_FLIPS_REFUSED_ON_CAN
 
 
 SINGLE_FLIPS_REFUSED_ON_CAN = 20

@@ -145,8 +145,7 @@ def test_a_dent_that_was_pressed_on_is_as_deep_as_at_its_last_force() -> None:
     scene = built_in("two-60-150", 0)
     unseen = UnseenSurface(scene.size_m, ExploreOptions(beta_model="none"), ArmCompliance())
     places = np.random.default_rng(0).uniform(size=(500, 2)) * scene.size_m
-    points = np.column_stack([places, np.full(500, 0.05)])
-    explorer = unseen.look(SurfaceMeasurement(points, np.full(500, 1e-3)))
+    explorer = unseen.look(SurfaceMeasurement(np.column_stack([places, np.full(500, 0.05)]), np.full(500, 1e-3)))
     up, none = np.array([0.0, 0.0, 1.0]), np.zeros((0, 3))
     touched = TouchMeasurement(np.array([0.2, 0.2]), up, np.arange(230) * 0.01, position, along, none, True)
     told = explorer.touch(touched).estimate
@@ -185,8 +184,7 @@ def test_touches_without_a_relaxed_stiffness_end_with_a_reason_where_that_is_map
     position = np.column_stack([np.full((130, 2), 0.2), height])
     for _ in range(3):
         assert stages.plan().given_up == ""
-        touched = TouchMeasurement(np.array([0.2, 0.2]), up, np.arange(130) * 0.01, position, along, none, True)
-        stages.touch(touched)
+        stages.touch(TouchMeasurement(np.array([0.2, 0.2]), up, np.arange(130) * 0.01, position, along, none, True))
     assert "3 touches in a row gave no map" in stages.plan().given_up
 
 

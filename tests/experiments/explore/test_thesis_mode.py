@@ -62,8 +62,7 @@ def test_a_simulated_scene_leaves_the_tangent_free_where_it_is_asked_for(
     planner: Literal["thesis", "regions"], asked: Literal["held", "free"] | None, is_now: str
 ) -> None:
     options = ExploreOptions(planner=planner, beta_model="volume")
-    opened = setup_of("lab:homogeneous-60", options, None, trusted=True, tangential=asked)
-    assert opened.options.tangential == is_now
+    assert setup_of("lab:homogeneous-60", options, None, trusted=True, tangential=asked).options.tangential == is_now
 
 
 @pytest.mark.slow

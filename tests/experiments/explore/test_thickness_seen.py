@@ -46,8 +46,7 @@ def seen(scene: Scene, hidden: bool) -> SurfaceMeasurement:
 @pytest.mark.parametrize("name", ["homogeneous-60", "wedge"])
 def test_thickness_is_taken_from_the_table_beside_the_foam(name: str) -> None:
     scene = built_in(name, 1000)
-    explorer = UnseenSurface(scene.size_m, UNSTATED, ArmCompliance()).look(seen(scene, hidden=False))
-    surface = explorer.surface.estimate
+    surface = UnseenSurface(scene.size_m, UNSTATED, ArmCompliance()).look(seen(scene, hidden=False)).surface.estimate
     assert surface.layer_m == pytest.approx(scene.thickness_m, abs=2e-3)
     assert 0.0 < surface.layer_sd_m < 3e-3
 

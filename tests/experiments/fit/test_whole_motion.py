@@ -97,8 +97,7 @@ def test_alpha_of_a_fast_motion_is_found(alpha: float) -> None:
 
 
 def test_dt_of_a_fast_motion_is_found() -> None:
-    found = chosen(sheared(5, pace=Pace(0.5, 5e-3, ()), fps=50.0), ("dt",), Model(alpha=0.5))
-    assert found.way.pace.dt == 5e-3
+    assert chosen(sheared(5, pace=Pace(0.5, 5e-3, ()), fps=50.0), ("dt",), Model(alpha=0.5)).way.pace.dt == 5e-3
 
 
 def test_a_slow_motion_cannot_tell_alpha() -> None:

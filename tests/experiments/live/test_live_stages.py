@@ -416,8 +416,7 @@ def approach(
         if step % 10 == 0:
             height = 0.5 - speed_m_s * time_s if time_s <= seconds - 0.2 else 0.5
             nothing = np.zeros(3)
-            place = np.array([0.1, 0.2, height])
-            arm = (nothing, nothing, nothing, place, np.array(down), nothing, nothing, nothing)
+            arm = (nothing, nothing, nothing, np.array([0.1, 0.2, height]), np.array(down), nothing, nothing, nothing)
             frames.append(ArmFrame(stamp, step // 10, *arm))
     return frames
 

@@ -49,8 +49,7 @@ def shown(turns_deg: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> tuple[Board
 
 def test_views_turned_about_one_axis_alone_are_followed_by_more(monkeypatch: pytest.MonkeyPatch) -> None:
     about_x = np.linspace(-30.0, 30.0, VIEWS)[:, None] * [1.0, 0.0, 0.0]
-    turns_deg = np.vstack([about_x, [[0.0, 30.0, 0.0], [0.0, -30.0, 0.0], [0.0, 30.0, 0.0]]])
-    views, asked = shown(turns_deg, monkeypatch)
+    views, asked = shown(np.vstack([about_x, [[0.0, 30.0, 0.0], [0.0, -30.0, 0.0], [0.0, 30.0, 0.0]]]), monkeypatch)
     assert len(views.seen) > VIEWS
     assert turned_about(views.T_base_ee) >= LEAST_SPREAD_RAD
     assert any("about its own y axis" in words or "about its own z axis" in words for words in asked)

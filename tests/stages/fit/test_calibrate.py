@@ -112,8 +112,7 @@ def test_a_pose_that_is_not_held_is_reported() -> None:
     one = dataclasses.replace(observation(body, body.rest + 1e-3), held=np.array([0]))
     assert not one.pose_held
     assert dataclasses.replace(one, held=np.array([0, 5])).pose_held
-    found = calibrate([one], FitOptions(Model(), BETA_BOUNDS, candidates=10)).estimate
-    assert found.settings["pose_held"] is False
+    assert calibrate([one], FitOptions(Model(), BETA_BOUNDS, candidates=10)).estimate.settings["pose_held"] is False
 
 
 @pytest.mark.slow

@@ -74,8 +74,7 @@ def test_a_wrong_track_is_left_out_and_named() -> None:
 
 def test_a_body_at_rest_tells_neither() -> None:
     rest = lattice((4, 5))
-    body = Pushed(rest, (4, 5), np.arange(5), rest[:5])
-    found, _ = calibrate_both([observation(body, rest)], JointOptions())
+    found, _ = calibrate_both([observation(Pushed(rest, (4, 5), np.arange(5), rest[:5]), rest)], JointOptions())
     assert found.beta.verdict == found.theta.verdict == "unidentified"
 
 

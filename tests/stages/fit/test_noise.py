@@ -108,8 +108,7 @@ def test_white_residuals_of_the_stated_size_need_no_field() -> None:
 @pytest.mark.parametrize("factor", [0.25, 0.5, 2.0, 4.0])
 def test_a_wrong_noise_level_is_corrected_by_the_residuals(factor: float) -> None:
     model = ErrorModel(measured((8, 8), noise=1e-4, held=False))
-    value = np.random.default_rng(3).normal(0.0, factor * 1e-4, (64, 2))
-    found = model.evidence(value[None], np.zeros((64, 2, 0)))
+    found = model.evidence(np.random.default_rng(3).normal(0.0, factor * 1e-4, (64, 2))[None], np.zeros((64, 2, 0)))
     best = int(found.log_likelihood[:, 0].argmax())
     assert model.hypotheses.size[best] == 0.0
     assert np.exp(found.log_scale[best, 0]) == pytest.approx(factor, rel=0.15)

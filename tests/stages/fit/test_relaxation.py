@@ -61,8 +61,7 @@ def test_what_a_record_did_not_see_is_a_reason() -> None:
 @pytest.mark.parametrize(("unseen", "opens"), [(0.1, False), (0.3, True)])
 def test_an_interval_is_open_where_the_end_may_be_unseen(unseen: float, opens: bool) -> None:
     strength, retarded_s, endless = np.full((3, 1), 0.3), np.array([[1.0], [50.0], [1.0]]), np.array([0, 0, 1], bool)
-    weight = np.array([1.0 - unseen, 0.5 * unseen, 0.5 * unseen])
-    seen = draws_of(strength, retarded_s, endless, weight).seen(8.0)
+    seen = draws_of(strength, retarded_s, endless, np.array([1.0 - unseen, 0.5 * unseen, 0.5 * unseen])).seen(8.0)
     assert (seen.reasons, seen.open) == ((), opens)
     assert seen.bounded(0.4, (0.3, 0.5), 1.0) == (0.4, (0.3, 1.0 if opens else 0.5))
 

@@ -93,8 +93,7 @@ def test_too_few_patches_cannot_tell_that_frames_are_independent() -> None:
 
 
 def test_patches_are_of_the_asked_side_without_slivers() -> None:
-    number = patches(lattice((10, 7), 1.0), 3.0)
-    sizes = np.bincount(number)
+    sizes = np.bincount(patches(lattice((10, 7), 1.0), 3.0))
     assert len(sizes) == 3 * 2
     assert sizes.min() >= 9
 

@@ -29,8 +29,7 @@ def test_a_camera_that_is_off_moves_everything_in_proportion_to_the_place() -> N
     modes = camera_modes(places).reshape(60, -1)
     assert modes.shape[1] == 4
     scale = 0.01 * (places - places.mean(axis=0)).ravel()
-    left = np.linalg.lstsq(np.column_stack([modes, np.tile(np.eye(2), (30, 1))]), scale, rcond=None)[1]
-    assert left[0] < 1e-20
+    assert np.linalg.lstsq(np.column_stack([modes, np.tile(np.eye(2), (30, 1))]), scale, rcond=None)[1][0] < 1e-20
 
 
 def _measured(count: int = 7) -> tuple[Measured, FloatArray]:

@@ -72,6 +72,5 @@ def test_the_plan_goes_where_the_field_is_unknown_and_ends_with_its_variance_alo
         assert float(field.at(plan.target_m[None]).deviation[0]) ** 2 > options.threshold * SIGMA_E**2
         seen.add(tuple(plan.target_m))
     assert len(seen) > 4
-    everywhere = touched(*((x, y, 0.5) for x in (0.1, 0.3, 0.5) for y in (0.1, 0.3)))
-    plan = plan_thesis_touch(everywhere, posterior, options)
+    plan = plan_thesis_touch(touched(*((x, y, 0.5) for x in (0.1, 0.3, 0.5) for y in (0.1, 0.3))), posterior, options)
     assert plan.stop == "nothing above the threshold"

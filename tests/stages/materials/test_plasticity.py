@@ -39,8 +39,7 @@ def pressed(
     low = np.flatnonzero(rest[:, -1] <= 0.0)
     top = np.flatnonzero(rest[:, -1] >= rest[:, -1].max() - 1e-9)
     middle = rest[:, :-1].max(axis=0) / 2.0
-    tip = top[np.linalg.norm(rest[top][:, :-1] - middle, axis=1) <= 1.01 * SPACING_M]
-    pressing = np.concatenate([low, tip])
+    pressing = np.concatenate([low, top[np.linalg.norm(rest[top][:, :-1] - middle, axis=1) <= 1.01 * SPACING_M]])
     grouped = clusters.lattice(rest, shape, np.arange(len(rest)), 3)
     body = PlasticMsm(Msm(rest, grouped, pressing), Plasticity(yield_strain, creep))
     loads = [*np.linspace(0.0, 1.0, frames // 2 + 1)[1:], *np.linspace(1.0, 0.3, frames // 2), 0.0, 0.0]

@@ -44,8 +44,7 @@ def test_a_particle_that_no_window_keeps_is_given_neighbours() -> None:
 
 
 def test_a_flat_sheet_in_space_keeps_its_flat_windows() -> None:
-    found = clusters.lattice(np.column_stack([lattice((4, 4)), np.zeros(16)]), (4, 4, 1), np.arange(16), 3)
-    assert found.count == 4
+    assert clusters.lattice(np.column_stack([lattice((4, 4)), np.zeros(16)]), (4, 4, 1), np.arange(16), 3).count == 4
 
 
 SHAPES = [(5,), (1, 6), (6, 1), (5, 6), (9, 3), (1, 4, 5), (4, 1, 5), (4, 5, 1), (3, 4, 5), (5, 5, 5), (2, 2, 9)]

@@ -19,8 +19,7 @@ LAW = Law(0.4, 0.6, 3)
 @pytest.fixture(scope="module")
 def scene() -> PokeSetup:
     x, y = np.meshgrid(np.arange(13) * 0.01, np.arange(13) * 0.01, indexing="ij")
-    points = np.column_stack([x.ravel(), y.ravel(), np.full(169, 0.03)])
-    layers = below(MeasuredSurface(points, 0.03), spacing=0.01)
+    layers = below(MeasuredSurface(np.column_stack([x.ravel(), y.ravel(), np.full(169, 0.03)]), 0.03), spacing=0.01)
     grouped = clusters.lattice(layers.rest, layers.shape, layers.cell, 3)
     return PokeSetup(layers.rest, grouped, layers.bottom, layers.top, np.array([0.0, 0.0, -1.0]), 0.01)
 
@@ -96,8 +95,7 @@ def test_a_force_is_reached_and_is_that_of_its_depth(scene: PokeSetup) -> None:
     deep = press(scene, LAW, Poke(AT, tip, force=2.0), stiffness=80.0)
     assert deep.converged
     assert 80.0 * deep.reaction == pytest.approx(2.0, rel=1e-3)
-    again = press(scene, LAW, Poke(AT, tip, depth=deep.depth))
-    assert again.reaction == pytest.approx(deep.reaction, rel=2e-3)
+    assert press(scene, LAW, Poke(AT, tip, depth=deep.depth)).reaction == pytest.approx(deep.reaction, rel=2e-3)
 
 
 def test_twice_the_stiffness_asks_for_half_the_depth_while_strain_is_small(scene: PokeSetup) -> None:

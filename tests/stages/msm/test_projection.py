@@ -338,8 +338,7 @@ def test_warp_agrees_with_the_reference(device: str, precision: str, dim: int, s
         size = np.maximum(1.0, np.abs(b).max(axis=(1, 2)))
         further = np.linalg.norm(change, axis=(1, 2)) - np.linalg.norm(expected - b, axis=(1, 2))
         assert np.all(np.abs(further) < DISTANCE_TOLERANCE[precision] * size), kind
-        product = np.prod(stretch[:, :span_count], axis=1)
-        np.testing.assert_allclose(product, 1.0, rtol=DISTANCE_TOLERANCE[precision])
+        np.testing.assert_allclose(np.prod(stretch[:, :span_count], axis=1), 1.0, rtol=DISTANCE_TOLERANCE[precision])
         if kind == "near":
             np.testing.assert_allclose(b + change, expected, atol=NEAREST_TOLERANCE[precision])
 

@@ -129,8 +129,7 @@ def test_outliers_of_the_arm_are_borne() -> None:
     time, position, force, normal = approach(5, 0.0066)
     position = position.copy()
     position[::9] += 0.002 * normal / np.linalg.norm(normal)
-    fit = fit_approach(time, position, force, normal)
-    assert fit.stiffness_n_per_mm == pytest.approx(3e-3 / 0.0066, rel=0.08)
+    assert fit_approach(time, position, force, normal).stiffness_n_per_mm == pytest.approx(3e-3 / 0.0066, rel=0.08)
 
 
 def test_the_arm_s_own_compliance_is_calibrated_on_a_rigid_block_and_taken_off() -> None:

@@ -26,8 +26,7 @@ def test_a_poke_with_another_tip_depth_and_place_is_as_the_law_that_made_both(mo
     truth = poked((0.11, 0.07), side=0.04, depth=0.001)
     asked = seen_poke(truth)
     found = predict(model, Poke(asked.at, asked.tip, depth=asked.depth))
-    error = np.linalg.norm(found.at(truth.rest) - truth.deformed, axis=1)
-    assert np.sqrt(np.mean(error**2)) < 0.01 * asked.depth
+    assert np.sqrt(np.mean(np.linalg.norm(found.at(truth.rest) - truth.deformed, axis=1) ** 2)) < 0.01 * asked.depth
     assert found.force == pytest.approx(truth.force_n, rel=0.02)
     assert found.force_interval[0] < found.force < found.force_interval[1]
     assert found.converged

@@ -15,8 +15,7 @@ def fitted(shift: FloatArray, exponent_sd: float) -> ContactFit:
     """Of an approach without noise, whose log stiffness is higher by `shift` (3,) under CONTACTS."""
     force = np.linspace(0.0, 1.01 * FORCE_N, 4000)
     contact = (force / FORCE_N) ** (1.0 / 3.0)
-    more = np.polyval(np.polyfit(CONTACTS, shift, 2), contact)
-    sunk = DEPTH_M * (force / FORCE_N) ** (2.0 / 3.0) * np.exp(-more)
+    sunk = DEPTH_M * (force / FORCE_N) ** (2.0 / 3.0) * np.exp(-np.polyval(np.polyfit(CONTACTS, shift, 2), contact))
     gone = np.arange(-0.003, np.interp(FORCE_N, force, sunk), 1e-4)
     felt = np.interp(gone, sunk, force)
     position = -gone[:, None] * UP

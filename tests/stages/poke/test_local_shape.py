@@ -61,8 +61,7 @@ def test_touch_of_uneven_foam_compares_as_on_a_level_layer(
 ) -> None:
     place = np.array(xy_m)
     felt_m = _dent_m(scene, place)
-    height_m = scene.foam_height_m(place + AROUND)
-    shape = shape_of(height_m, np.full(5, 1e-4), STEP_M, float(place.min()), least_m=0.005)
+    shape = shape_of(scene.foam_height_m(place + AROUND), np.full(5, 1e-4), STEP_M, float(place.min()), least_m=0.005)
     shift = shape_shift(shape, felt_m, reference_m=REFERENCE_M, radius_m=RADIUS_M)
     off = np.log(level_m / felt_m)  # what it is stiffer by
     assert abs(off) >= felt_apart
@@ -131,8 +130,7 @@ def test_doubt_grows_with_what_is_corrected_and_with_a_thickness_that_is_not_kno
 
 def test_shape_of_a_ball_s_top_and_of_a_slope() -> None:
     radius_m = 0.2
-    dome = np.sqrt(radius_m**2 - (AROUND**2).sum(axis=1))
-    found = shape_of(dome, np.full(5, 1e-3), STEP_M, -0.01, least_m=0.005)
+    found = shape_of(np.sqrt(radius_m**2 - (AROUND**2).sum(axis=1)), np.full(5, 1e-3), STEP_M, -0.01, least_m=0.005)
     assert found.curvature_per_m == pytest.approx(1.0 / radius_m, rel=0.01)
     assert found.slope == pytest.approx(0.0)
     assert (found.edge_m, found.thickness_sd_m) == (0.0, 1e-3)

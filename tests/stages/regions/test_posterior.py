@@ -54,8 +54,7 @@ def test_levels_are_integrated_as_a_gaussian_s_marginal(k: int) -> None:
     found, level, cov = levels.levels_of(shares, readings, prior)
     for one in range(4):
         joint = shares[one] @ before @ shares[one].T + np.diag(readings.variance)
-        expected = multivariate_normal(np.zeros(6), joint).logpdf(readings.value)
-        assert found[one] == pytest.approx(expected, rel=1e-9)
+        assert found[one] == pytest.approx(multivariate_normal(np.zeros(6), joint).logpdf(readings.value), rel=1e-9)
         gain = before @ shares[one].T @ np.linalg.inv(joint)
         np.testing.assert_allclose(level[one], gain @ readings.value, atol=1e-9)
         np.testing.assert_allclose(cov[one], before - gain @ shares[one] @ before, atol=1e-9)
@@ -151,8 +150,7 @@ def quadrants() -> list[StiffnessSample]:
     places = [(x, y) for x in (0.06, 0.22, 0.38, 0.54) for y in (0.06, 0.15, 0.25, 0.34)]
     level = [0.7 * (x > 0.3) + 1.4 * (y > 0.2) for x, y in places]
     values = np.array(level) + 0.03 * rng.standard_normal(len(places))
-    order = rng.permutation(len(places))
-    return [StiffnessSample(np.array(places[i]), float(values[i]), 0.03) for i in order]
+    return [StiffnessSample(np.array(places[i]), float(values[i]), 0.03) for i in rng.permutation(len(places))]
 
 
 @pytest.mark.slow

@@ -74,8 +74,7 @@ def test_the_robot_goes_with_it_and_its_doubt_goes() -> None:
     truth, solids = displacement(1), arm()
     points = seen(solids, 0.0) @ truth[:3, :3].T + truth[:3, 3]
     stick = Capsule(np.array([0.1, -0.2, UP]), np.array([0.1, -0.2, UP - 0.1]), 0.01)
-    robot = PosedRobot([stick], solids, margin_m=0.02, solid_margin_m=0.006, aligns=True)
-    there = as_seen(robot, points, 0.0)
+    there = as_seen(PosedRobot([stick], solids, margin_m=0.02, solid_margin_m=0.006, aligns=True), points, 0.0)
     assert there.margin_m == ALIGNED_M
     assert there.solid_margin_m == 0.006
     np.testing.assert_allclose(there.capsules[0].end_m, (truth @ [0.1, -0.2, UP - 0.1, 1.0])[:3], atol=0.002)

@@ -159,8 +159,7 @@ def test_refuses_to_hold(grid: ParticleGrid, groups: list[str], contact: Rect | 
 
 def test_samples_a_plane_exactly_and_nothing_outside() -> None:
     field = analytic_flow(lambda x, y: (0.1 * x - 0.2 * y, 3 + 0 * x)).flow_px
-    xy = np.array([[10.123, 20.456], [0, 0], [199, 119], [199.01, 5], [5, -0.01], [np.nan, 5]])
-    values = sample(field, xy)
+    values = sample(field, np.array([[10.123, 20.456], [0, 0], [199, 119], [199.01, 5], [5, -0.01], [np.nan, 5]]))
     np.testing.assert_allclose(values[0], [0.1 * 10.123 - 0.2 * 20.456, 3], rtol=1e-5)
     assert np.isfinite(values[:3]).all()
     assert np.isnan(values[3:]).all()

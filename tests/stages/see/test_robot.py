@@ -27,8 +27,7 @@ def test_jumps_reach_as_far_as_pixels_are_mixed() -> None:
     depth = np.full((20, 40), 0.8)
     depth[:, 20:] = 0.7
     depth[:, 5] = 0.0  # saw nothing: no jump
-    columns = np.flatnonzero(at_jumps(depth).any(axis=0))
-    np.testing.assert_array_equal(columns, np.arange(20 - EDGE_PX, 20 + EDGE_PX))
+    np.testing.assert_array_equal(np.flatnonzero(at_jumps(depth).any(axis=0)), np.arange(20 - EDGE_PX, 20 + EDGE_PX))
     assert not at_jumps(np.broadcast_to(0.6 + 0.003 * np.arange(40), (20, 40))).any()
 
 

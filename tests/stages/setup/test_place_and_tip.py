@@ -152,8 +152,7 @@ def test_turns_that_say_nothing_of_a_tip_are_refused() -> None:
     random = np.random.default_rng(7)
     good = turned(6, 20.0, 0.0003, random)
     about_one_axis = good.copy()
-    spins = Rotation.from_rotvec(np.linspace(-0.4, 0.4, 6)[:, None] * [1.0, 0.0, 0.0]).as_matrix()
-    about_one_axis[:, :3, :3] = spins
+    about_one_axis[:, :3, :3] = Rotation.from_rotvec(np.linspace(-0.4, 0.4, 6)[:, None] * [1.0, 0.0, 0.0]).as_matrix()
     slid = good.copy()
     slid[::2, :3, 3] += 0.02
     with pytest.raises(InputError, match=r"two axes.*try: tilt the stick"):

@@ -68,8 +68,7 @@ def test_accuracy_without_copies_is_told_and_promised() -> None:
     low, high = found.without_copies.accuracy.interval
     assert low <= truth <= high < found.best.accuracy.value
     assert model.promised["interval"] == (low, high)
-    words = dict(row[:2] for row in result.tables()[0].rows)
-    assert list(words)[:2] == ["without near copies", "with near copies"]
+    assert list(dict(row[:2] for row in result.tables()[0].rows))[:2] == ["without near copies", "with near copies"]
     assert any("row 1 ~ row 121" in note for note in found.notes)
     entry = next(one for one in result.entries() if one["recommended"])
     assert len(entry["near_copies"]) == 120

@@ -104,8 +104,7 @@ def test_blocks_are_means_of_what_was_measured() -> None:
 def test_a_hand_is_found_by_its_links() -> None:
     depth = np.full(SHAPE, 1.0)
     depth[100:200, 300:320] = 0.8
-    finger = Capsule(np.array([-0.03, -0.2, 0.8]), np.array([0.0, -0.05, 0.8]), 0.03)
-    covered = hand_pixels(depth, CAMERA, [finger])
+    covered = hand_pixels(depth, CAMERA, [Capsule(np.array([-0.03, -0.2, 0.8]), np.array([0.0, -0.05, 0.8]), 0.03)])
     assert covered[150, 310]
     assert not covered[depth == 1.0].any()
 

@@ -145,8 +145,7 @@ def test_a_full_carton_whose_walls_bulge_is_not_taken_for_one_that_stands_nearer
 def test_rounding_of_the_rendering_moves_a_pose_by_no_more_than_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     """As on another processor: last bits of the model's depths, a lid that is level included, are drawn."""
     true, random = looking(0.9, 35.0, 60.0), np.random.default_rng(0)
-    pose = moved(true, np.array([0.003, -0.002, 0.001]), np.array([0.5, 0.0, 1.0]))
-    seen = squeezed(BOX, true, pose, random)
+    seen = squeezed(BOX, true, moved(true, np.array([0.003, -0.002, 0.001]), np.array([0.5, 0.0, 1.0])), random)
     first = track(ModelRenderer(BOX, CAMERA), seen.depth_m, true, excluded=seen.finger)
     render = ModelRenderer.render
 

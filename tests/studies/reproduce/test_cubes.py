@@ -215,8 +215,7 @@ def test_a_theta_that_does_not_rise_is_noticed(
 
 def test_overlapping_clusters_are_fitted_to_the_deepest_of_each_kind() -> None:
     cubes, _ = thesis_cubes((0.1, 0.2), (3, 4), (0.01, 0.02))
-    chosen = compared(cubes, "deepest")
-    assert [cube.depth for cube, yes in zip(cubes, chosen, strict=True) if yes] == [0.02] * 4
+    assert [cube.depth for cube, yes in zip(cubes, compared(cubes, "deepest"), strict=True) if yes] == [0.02] * 4
     assert sum(compared(cubes, "all")) == 8
     assert sum(compared(cubes, "none")) == 0
 

@@ -49,8 +49,7 @@ def test_motion_is_the_finite_elements(pose: PressedBlock) -> None:
 
 def test_what_is_seen_is_traced_back_to_where_it_was(pose: PressedBlock) -> None:
     motion, place = SpeckleMotion(pose, BLOCK, VIEW), inside(2000)
-    found = motion.rest_of(place + motion.displacement(place), place.copy())
-    np.testing.assert_allclose(found, place, atol=2e-3)
+    np.testing.assert_allclose(motion.rest_of(place + motion.displacement(place), place.copy()), place, atol=2e-3)
 
 
 def test_foam_at_rest_lies_between_ground_and_clamp() -> None:

@@ -118,8 +118,7 @@ def test_a_disc_that_no_touch_met_is_as_large_as_the_touches_leave_room() -> Non
 
 def test_a_scene_without_regions_has_no_iou() -> None:
     score = replace(SCORE, iou=None, least_iou=None, boundary_m=None, verdict="gradual")
-    smooth = replace(run(0, 0.1), region_count=0, after=(replace(after(1, 0.0), score=score),))
-    reported = summarise([smooth], 8)
+    reported = summarise([replace(run(0, 0.1), region_count=0, after=(replace(after(1, 0.0), score=score),))], 8)
     assert (reported["iou"], reported["good"], reported["found"], reported["boundary_m"]) == (None, None, None, None)
     assert reported["gradual"] == 1.0
 
