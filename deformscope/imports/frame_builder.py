@@ -25,6 +25,7 @@ from deformscope.imports.poses import Pose, check_rotation, pose_from, rotation_
 from deformscope.imports.readers import TABLE_TYPES, Message, Topic
 from deformscope.recording.streams import UNITS, columns_of, split_unit
 from deformscope_drivers.clock import Stamp
+from deformscope_drivers.dsa.pressure import SCHUNK_PA_PER_COUNT
 
 KINDS: dict[Kind, type] = {
     "wrench": WrenchFrame,
@@ -74,7 +75,7 @@ SI = {
         "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6},
         "rad": {"rad": 1.0, "deg": math.pi / 180},
         "rad/s": {"rad/s": 1.0, "deg/s": math.pi / 180},
-        "Pa": {"Pa": 1.0, "kPa": 1e3, "hPa": 1e2, "MPa": 1e6},
+        "Pa": {"Pa": 1.0, "kPa": 1e3, "hPa": 1e2, "MPa": 1e6, "DSA count": SCHUNK_PA_PER_COUNT},
         "deg C": {"deg C": 1.0},
     }.items()
     for name, factor in names.items()
@@ -89,6 +90,8 @@ VENDORS = tuple(
     )
 )
 """Names of a vendor's columns, their unit, and the form of the rotation that they have: of Universal Robots' RTDE."""
+SIDES = (("cells_y", "cells_x"), ("rows", "columns"), ("rows", "cols"), ("height", "width"))
+"""Names of a matrix's rows and columns in messages."""
 Row = dict[str, Any]
 CLOUDS = (".pcd", ".ply")
 REAL_STEP_M = 1e-4
@@ -323,6 +326,16 @@ def _is_of_matrices(value: Any) -> bool:
     return isinstance(value, tuple) and len(value) > 0 and np.ndim(value[0]) > 0
 
 
+def _sides_of(value: Any, field: str) -> list[tuple[int, int]]:
+    """Rows and columns of a list of matrices, as the messages themselves say; empty where they do not."""
+    for part in field.split(".")[:-1]:
+        value = getattr(value, part, None)
+    for sides in SIDES if isinstance(value, list) else ():
+        if all(hasattr(one, name) for one in value for name in sides):
+            return [(int(getattr(one, sides[0])), int(getattr(one, sides[1]))) for one in value]
+    return []
+
+
 def valid_of(frame: Frame) -> tuple[int, int]:
     """How many values of a frame are valid, and how many it has; 1 of 1 where every value is."""
     if isinstance(frame, DepthFrame):
@@ -349,10 +362,16 @@ def _wrench(self: FrameBuilder, row: Row, at: At) -> Frame | None:
 def _tactile(self: FrameBuilder, row: Row, at: At) -> Frame | None:
     shapes, pressure = [(pad.rows, pad.columns) for pad in self.stream.pads], self.values(row, "pressure_pa")
     self.check_numbers(row, "pressure_pa", pressure, at)
+    if (
+        shapes
+        and (said := _sides_of(at.values[0], (self._fields or {}).get("pressure_pa", ("",))[0]))
+        and said != shapes
+    ):
+        raise self.stream.missing("pads", f"rows and columns of its matrices, {said}, in their order", shapes)
     if shapes and _is_of_matrices(parts := row.get("pressure_pa")):
-        sizes, wanted = [np.size(one) for one in parts or ()], [rows * columns for rows, columns in shapes]
-        if sizes != wanted:
-            raise self.stream.missing("pads", f"in the order of its matrices, of {sizes} texels", wanted)
+        sizes, texels = [np.size(one) for one in parts or ()], [rows * columns for rows, columns in shapes]
+        if sizes != texels:
+            raise self.stream.missing("pads", f"in the order of its matrices, of {sizes} texels", texels)
     ends = np.cumsum([rows * columns for rows, columns in shapes])
     if not shapes or len(pressure) != ends[-1]:
         about = f"name, rows, columns, texel_m, index, finger, part of each, {len(pressure)} texels in all"

@@ -42,7 +42,7 @@ def pose_from(quaternion: Sequence[float], position: Sequence[float]) -> Pose:
     """(4, 4) of x, y, z, w and metres. Raises ValueError for a quaternion that is no rotation."""
     from scipy.spatial.transform import Rotation
 
-    if not abs((length := float(np.linalg.norm(quaternion))) - 1.0) <= LENGTH_OFF:
+    if not abs((length := math.hypot(*quaternion)) - 1.0) <= LENGTH_OFF:
         raise ValueError(f"a quaternion of length {length:.4g}, where a rotation has 1")
     T: Pose = np.eye(4)
     T[:3, :3], T[:3, 3] = Rotation.from_quat(quaternion).as_matrix(), position

@@ -289,10 +289,12 @@ def test_angles_of_more_than_a_turn_are_no_radians(tmp_path: Path, capfd: pytest
 ONE, ALL = "hand_msgs/msg/Matrix", "hand_msgs/msg/Matrices"
 
 
-def matrices(bag: Bag, sizes: list[tuple[int, int]], name: str) -> Bag:
+def matrices(bag: Bag, sizes: list[tuple[int, int]], name: str, sides: tuple[str, str] = ("cells_x", "cells_y")) -> Bag:
     from rosbags.typesys import get_types_from_msg
 
-    bag.store.register(get_types_from_msg(f"string name\nuint16 cells_x\nuint16 cells_y\n{name}[] pressure\n", ONE))
+    bag.store.register(
+        get_types_from_msg(f"string name\nuint16 {sides[0]}\nuint16 {sides[1]}\n{name}[] pressure\n", ONE)
+    )
     bag.store.register(get_types_from_msg(f"std_msgs/Header header\n{ONE.replace('/msg', '')}[] pads\n", ALL))
     for at in range(1, 5):
         made = [
@@ -315,7 +317,9 @@ def pads_map(sizes: list[tuple[int, int]], unit: str = "Pa") -> str:
 
 
 @pytest.mark.parametrize("sizes", [[(6, 14), (6, 13)], [(6, 14)], [(3, 4), (3, 4)]])
-@pytest.mark.parametrize(("name", "unit", "factor"), [("float64", "Pa", 1.0), ("int16", "hPa", 100.0)])
+@pytest.mark.parametrize(
+    ("name", "unit", "factor"), [("float64", "Pa", 1.0), ("int16", "hPa", 100.0), ("int16", "DSA count", 473 / 592.1)]
+)
 def test_a_list_of_matrices_is_a_hand(
     sizes: list[tuple[int, int]], name: str, unit: str, factor: float, tmp_path: Path
 ) -> None:
@@ -330,9 +334,14 @@ def test_a_list_of_matrices_is_a_hand(
 def test_matrices_in_another_order_are_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     source = matrices(Bag(), [(6, 14), (6, 13)], "float64").write(tmp_path / "bag")
     error = refused(source, pads_map([(6, 13), (6, 14)]), tmp_path / "r.rrd", capfd)
-    assert "pads of hand in the map: in the order of its matrices, of [84, 78] texels; got [78, 84]" in error.replace(
-        "'", ""
+    assert "pads of hand in the map: rows and columns of its matrices, [(14, 6), (13, 6)], in their order" in error
+    turned = matrices(Bag(), [(3, 4)], "float64").write(tmp_path / "turned")
+    assert "its matrices, [(4, 3)], in their order; got [(3, 4)]" in refused(
+        turned, pads_map([(4, 3)]), tmp_path / "r.rrd", capfd
     )
+    unsaid = matrices(Bag(), [(6, 14), (6, 13)], "float64", sides=("a", "b")).write(tmp_path / "unsaid")
+    error = refused(unsaid, pads_map([(6, 13), (6, 14)]), tmp_path / "r.rrd", capfd)
+    assert "pads of hand in the map: in the order of its matrices, of [84, 78] texels; got [78, 84]" in error
     error = refused(
         source, pads_map([(6, 14), (6, 13)]).replace("pads.pressure", "pads.force"), tmp_path / "r.rrd", capfd
     )
