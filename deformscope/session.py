@@ -105,7 +105,7 @@ class SessionRig(Protocol):
 
 
 class SessionRobot(Protocol):
-    """An object that carries out commands (`deformscope.experiments.explore.touching_robot`).
+    """An object that carries out commands (`deformscope.experiments.commanded_robot`).
 
     stopped: future that fails when the robot must stop, also without a command"""
 

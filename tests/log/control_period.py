@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from deformscope.arrays import FloatArray
-from deformscope.experiments.explore.touching_robot import without_long_pauses
+from deformscope.experiments.commanded_robot import without_long_pauses
 from deformscope.frames import Item
 from deformscope.log.rig_layout import RIG, RigLayout
 from deformscope.recording import recorder, rrd_file

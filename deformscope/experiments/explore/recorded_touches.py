@@ -16,9 +16,9 @@ import numpy as np
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
+from deformscope.experiments.explore.depth_pictures import DENT_PICTURES, LOOKS
 from deformscope.experiments.explore.explore import AtOnce, RecordedRobot
 from deformscope.experiments.explore.options import ExploreOptions
-from deformscope.experiments.explore.touching_robot import DENT_PICTURES, LOOKS
 from deformscope.experiments.live.device_stages import ALONG_WAY, ApproachChooser
 from deformscope.experiments.measured import FrameData, Looked, SetupGeometry, Touched
 from deformscope.frames import ArmFrame, DepthFrame, Frame, Item, WrenchFrame, host_ns

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import contextlib
-import gc
-import queue
-import sys
-import threading
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from deformscope.arrays import FloatArray, IntArray
+from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
+from deformscope.experiments.commanded_robot import CommandedRobot, without_long_pauses
+from deformscope.experiments.explore.depth_pictures import LOOKS, DepthPictures, dent_pictures, depths_m, lens, times_ns
 from deformscope.experiments.explore.explore import DRY_RUN, ExplorationStopped, Look, TouchHeld, Wait
 from deformscope.experiments.explore.options import ExploreOptions
 from deformscope.experiments.explore.robot_geometry import Touch
@@ -33,34 +30,19 @@ from deformscope.robot.robot import Robot, RobotStopped, Watch
 from deformscope.robot.setup import Setup
 from deformscope.robot.supervisor import Fault
 from deformscope.robot.touch import Phase, TouchEnding, TouchPlan, TouchRecord, run_touch
-from deformscope.session import Inline, Moment, Step
+from deformscope.session import Moment, Step
 from deformscope.stages.map.exploration import ExplorationStop, PhaseStart
 from deformscope.stages.map.measured import LookFrames, TouchFrames
 from deformscope.stages.regions.touches import MapGrid
-from deformscope_drivers.depth_camera.image import DepthImage, Intrinsics
-from deformscope_drivers.errors import DeviceError
+from deformscope_drivers.depth_camera.image import DepthImage
 from deformscope_drivers.manual_arm.config import MANUAL
-from deformscope_drivers.priority import STEERING, be_prompt
-from deformscope_drivers.subscription import Subscription
 
-DENT_PICTURES = 10
-"""Largest number of last pictures of a dent that are combined."""
 PREFLIGHT_CELL_M = 0.02
 """The outermost places that can be reached are sought on a grid of this."""
-LOOKS = 3
-"""Number of pictures of the surface that are combined before any touch."""
-OFF_MIDDLE = 0.15
-"""Largest distance of the principal point from the image's middle, as a share of width and height. Centres of real
-lenses are closer to the middle, those of another resolution are farther."""
 LOOK_PERIODS = 1000
 """Number of control periods in which these pictures must come; otherwise the camera counts as silent."""
 KEEP_EVERY = 50
 """Control periods of a simulated clock between two portions of the recording: each costs bytes and seconds."""
-IDLE_S = 0.02
-"""Period at which a robot without permission checks for a command."""
-SWITCH_S = 5e-4
-"""Time after which a thread that waits for Python's lock gets it. With Python's default of 5 ms, a control period is
-late if other threads write and draw, as it waits for the interpreter several times."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,27 +72,12 @@ def touching_robot(
         yield robot
 
 
-@contextlib.contextmanager
-def without_long_pauses() -> Iterator[None]:
-    """Exempt loaded objects from Python's garbage collection, which would stop all threads for 0.1 s and more, in the
-    middle of a motion; and switch threads more often."""
-    gc.collect()
-    gc.freeze()
-    as_before_s = sys.getswitchinterval()
-    sys.setswitchinterval(SWITCH_S)
-    try:
-        yield
-    finally:
-        sys.setswitchinterval(as_before_s)
-        gc.unfreeze()
-
-
-class TouchingRobot:
-    """Opened devices that look and touch (`deformscope.robot`); a `SessionRobot`.
+class TouchingRobot(CommandedRobot):
+    """Opened devices that look and touch (`deformscope.robot`), in the order of its commands: a `CheckFirst`, `Look`,
+    `Touch` or `Wait`, answered by a `Preflight`, `Looked`, `Touched` or None. A stop raises ExplorationStopped.
 
     on_phase: called with each phase of a touch as it begins, and the touch's number from 1
     reason_to_stand: called in each control period of a motion: a reason to stop and end it, empty = none
-    stopped: fails with the reason when the robot stops without a command
     largest_force_n: magnitude that the sensor measured in any touch so far, its tare taken off [N]"""
 
     def __init__(
@@ -121,52 +88,48 @@ class TouchingRobot:
         on_cycle: Callable[[], None] = lambda: None,
     ) -> None:
         """make: the robot, with the first command: its devices are recorded meanwhile"""
+        super().__init__("robot", KEEP_EVERY)
         self.on_phase: Callable[[Phase, int], None] = lambda phase, touch: None
         self.reason_to_stand: Callable[[], str] = lambda: ""
-        self.stopped: Future[None] = Future()
         self.largest_force_n = 0.0
         self.geometry = SetupGeometry.of(setup)
         self._make, self._on_cycle = make, on_cycle
         self._made: Robot | None = None
         self._setup = setup
         self._options = options
-        self._pictures: Subscription[DepthImage] | None = None
+        self._pictures = DepthPictures()
+        self._failed = False
         self._dwelling = contextlib.ExitStack()
         self._touches = self._begun = 0
         self._phase: Phase | None = None
         self._waits = ""
         self._pressed_m: FloatArray | None = None
-        self._reports: list[Step] = []
-        self._keep: Callable[[], object] | None = None
-        self._periods = 0
-        self._commands: queue.SimpleQueue[tuple[object, Future[Any]]] | None = None
 
     @property
     def _robot(self) -> Robot:
         if self._made is None:
-            self._made = self._make(lambda seen, verdict: self._cycled())
+            self._made = self._make(lambda seen, verdict: self.cycled())
             self._made.reason_to_stand = lambda: self.reason_to_stand()
         return self._made
 
     @property
-    def _may_move(self) -> bool:
+    def may_move(self) -> bool:
+        """Whether the arm may move. Not before: what can be reached takes seconds to find."""
         return self._made is not None and self._made.may_move
 
     # Commands ---------------------------------------------------------------------------------------------------------
 
-    def carry_out(self, command: object, keep: Callable[[], object]) -> Future[Any]:
-        """Begin with a `CheckFirst`, `Look`, `Touch` or `Wait`: in the robot's thread if it has one, else immediately.
-
-        Its answer is a `Preflight`, `Looked`, `Touched` or None; the reason for a stop is an ExplorationStopped."""
-        if self._commands is None:
-            self._keep = keep
-            return Inline().submit(lambda: self._do(command)())
-        future: Future[Any] = Future()
-        self._commands.put((command, future))
-        return future
+    def perform(self, command: object) -> Callable[[], Any]:
+        """Carry a command out; after a stop the robot does not rest in control periods any more."""
+        try:
+            return self._do(command)
+        except TouchHeld:
+            raise
+        except BaseException:
+            self._failed = True
+            raise
 
     def _do(self, command: object) -> Callable[[], Any]:
-        """Carry it out; the returned function puts the answer together, and may take longer than a control period."""
         answer: Looked | Preflight | None = None
         match command:
             case Touch(plan=TouchPlan() as plan):
@@ -181,65 +144,22 @@ class TouchingRobot:
                 raise TypeError(f"no command of this robot: {command!r}")
         return lambda: answer
 
-    def reports(self) -> list[Step]:
-        """The phases that began since the last call."""
-        taken, self._reports = self._reports, []
-        return taken
-
-    def _cycled(self) -> None:
+    def cycled(self) -> None:
         """In each control period."""
         self._on_cycle()
-        self._periods += 1
-        if self._keep is not None and self._periods % KEEP_EVERY == 0:
-            self._keep()
+        super().cycled()
 
-    @contextlib.contextmanager
-    def in_a_thread(self) -> Iterator[None]:
-        """Carry commands out in a thread whose control loop continues between commands, once the robot may move. The
-        supervisor checks every period, also during computations and recording."""
-        commands: queue.SimpleQueue[tuple[object, Future[Any]]] = queue.SimpleQueue()
-        self._commands = commands
-        over = threading.Event()
-
-        def work() -> None:
-            failed = prompt = False
-            while not over.is_set():
-                holding = self._may_move and not failed
-                asked: tuple[object, Future[Any]] | None = None
-                with contextlib.suppress(queue.Empty):
-                    asked = commands.get(block=not holding, timeout=IDLE_S)
-                if self._may_move and not prompt:  # not before: what can be reached takes seconds to find
-                    prompt = True
-                    be_prompt(STEERING)
-                if asked is None:
-                    failed = failed or (holding and not self._held())
-                    continue
-                command, future = asked
-                try:
-                    answers.submit(_give, future, self._do(command))
-                except TouchHeld as error:
-                    future.set_exception(error)
-                except BaseException as error:
-                    failed = True
-                    future.set_exception(error)
-
-        thread = threading.Thread(target=work, name="robot", daemon=True)
-        with ThreadPoolExecutor(1, "answers") as answers:
-            thread.start()
-            try:
-                yield
-            finally:
-                over.set()
-                thread.join()
-
-    def _held(self) -> bool:
-        """Rest for a control period; returns whether that succeeded."""
+    def rest(self) -> bool:
+        """Rest for a control period, once the robot may move: the supervisor checks every period, also during
+        computations and recording. Returns whether it did."""
+        if not self.may_move or self._failed:
+            return False
         try:
             with self._stopping():
                 self._robot.cycle()
         except Exception as error:
+            self._failed = True
             self.stopped.set_exception(error)
-            return False
         return True
 
     # Before it moves --------------------------------------------------------------------------------------------------
@@ -295,18 +215,23 @@ class TouchingRobot:
     def look(self) -> Looked:
         """The newest images of the surface, and the robot's pose."""
         self._robot.start()
-        with self._pictures_kept():
-            pictures = self._take_pictures(LOOKS)
-        pose, camera = self._robot.pose, self._setup.camera
-        focal_px, center_px = camera.focal_px, camera.center_px
-        if focal_px is None or center_px is None:
-            focal_px, center_px = reported_lens(pictures[-1].intrinsics)
-        check_center(center_px, pictures[-1].depth.shape)
+        pictures: list[DepthImage] = []
+        with self._pictures.gathered(self._robot.camera):
+            for _ in range(LOOK_PERIODS):
+                with self._stopping():
+                    self._robot.cycle()
+                pictures += self._pictures.new()
+                if len(pictures) >= LOOKS:
+                    break
+            else:
+                raise self._stop(Fault.CAMERA_SILENT, f"{len(pictures)} depth images in {LOOK_PERIODS / 100:g} s")
+        pictures, pose = pictures[-LOOKS:], self._robot.pose
+        focal_px, center_px = lens(self._setup.camera, pictures[-1])
         arm, _, name = self._setup.names
         chain = self._robot.chain
         model = MANUAL if chain is None else chain.name
-        used = LookFrames(name, _times_ns(pictures), arm, pose.time_ns, model, focal_px, center_px)
-        return Looked(used, FrameData(_depths_m(pictures), {pose.time_ns: pose}, {}))
+        used = LookFrames(name, times_ns(pictures), arm, pose.time_ns, model, focal_px, center_px)
+        return Looked(used, FrameData(depths_m(pictures), {pose.time_ns: pose}, {}))
 
     def touch(self, plan: TouchPlan, xy_m: FloatArray) -> Callable[[], Touched]:
         """Go to a place (2,) [m], touch along the normal, store the pictures of the dent, and come back; returns a
@@ -318,7 +243,7 @@ class TouchingRobot:
         dents: list[tuple[DepthImage, ArmSample]] = []
 
         def still() -> bool:
-            dents.extend((picture, robot.pose) for picture in self._new_pictures())
+            dents.extend((picture, robot.pose) for picture in self._pictures.new())
             return True
 
         with self._stopping(), contextlib.ExitStack() as self._dwelling:
@@ -358,11 +283,7 @@ class TouchingRobot:
         self, record: TouchRecord, dents: list[tuple[DepthImage, ArmSample]], xy_m: FloatArray, end: ArmSample
     ) -> Touched:
         dwells = [span for span in record.phases if span.phase in (Phase.DWELL, Phase.DWELL_MORE)]
-        seen = [
-            (picture, pose)
-            for picture, pose in dents
-            if any(span.start_s <= picture.stamp.host_ns / 1e9 <= span.end_s for span in dwells[-1:])
-        ][-DENT_PICTURES:]
+        seen = dent_pictures(dents, dwells)
         loading = max(record.loading, 10)
         arms = record.arms[:loading]
         held = (*record.arms[loading:], *record.back) if self._options.hold_s > 0.0 else ()
@@ -380,7 +301,7 @@ class TouchingRobot:
             pose_ns=np.array([pose_ns for _, pose_ns in record.forces], np.int64),
             tare_n=record.tare_n,
             camera=camera,
-            depth_ns=_times_ns(pictures),
+            depth_ns=times_ns(pictures),
             depth_arm_ns=np.array([pose.time_ns for _, pose in seen], np.int64),
             seen_ns=max((round(span.end_s * 1e9) for span in dwells), default=0),
             end_ns=end.time_ns,
@@ -388,7 +309,7 @@ class TouchingRobot:
         )
         poses = {sample.time_ns: sample for sample in (*arms, *held, *record.poses, *(pose for _, pose in seen), end)}
         forces = {(sample.time_ns, sample.ticks): sample.sensor_n for sample, _ in record.forces}
-        return Touched(used, FrameData(_depths_m(pictures), poses, forces))
+        return Touched(used, FrameData(depths_m(pictures), poses, forces))
 
     @property
     def doing(self) -> str:
@@ -422,7 +343,7 @@ class TouchingRobot:
         self._phase = phase
         self._begun += phase is Phase.TRAVEL
         if phase is Phase.DWELL:
-            self._dwelling.enter_context(self._pictures_kept())
+            self._dwelling.enter_context(self._pictures.gathered(self._robot.camera))
         if phase is Phase.PRESS:
             self._pressed_m = self._robot.center_m
         elif phase in (Phase.RETREAT, Phase.BACK_OFF):
@@ -448,66 +369,3 @@ class TouchingRobot:
         time_ns = self._setup.clock() if time_ns is None else time_ns
         stop = ExplorationStop(str(cause), reason, where_it_stands(cause, self._robot), str(action), self._touches)
         return ExplorationStopped(stop, time_ns)
-
-    def _new_pictures(self) -> list[DepthImage]:
-        with contextlib.suppress(DeviceError):  # what becomes of a lost camera, the supervisor decides
-            return [] if self._pictures is None else self._pictures.take()
-        return []
-
-    @contextlib.contextmanager
-    def _pictures_kept(self) -> Iterator[None]:
-        """From now on new pictures wait in the queue; at other times no caller takes them, and they would count as
-        lost."""
-        if self._robot.camera is None:
-            yield
-            return
-        with self._robot.camera.readings() as self._pictures:
-            yield
-        self._pictures = None
-
-    def _take_pictures(self, count: int) -> list[DepthImage]:
-        """The next pictures, the robot standing still."""
-        taken: list[DepthImage] = []
-        for _ in range(LOOK_PERIODS):
-            with self._stopping():
-                self._robot.cycle()
-            taken += self._new_pictures()
-            if len(taken) >= count:
-                return taken[-count:]
-        raise self._stop(Fault.CAMERA_SILENT, f"{len(taken)} depth images in {LOOK_PERIODS / 100:g} s")
-
-
-def check_center(center_px: tuple[float, ...], shape: tuple[int, ...]) -> None:
-    """Raises InputError for a principal point (x, y) [px] that is not near the middle of images (rows, columns). A
-    wrong centre belongs to another resolution, and would displace all measured points."""
-    rows, columns = shape[:2]
-    off = np.abs(np.asarray(center_px) - (0.5 * columns, 0.5 * rows)) / (columns, rows)
-    if (off > OFF_MIDDLE).any():
-        came = f"({center_px[0]:g}, {center_px[1]:g}) in images of {columns} x {rows} px"
-        try_this = "focal_px and center_px for this resolution, or neither: then the camera's own values are used"
-        raise InputError("[camera] center_px near the middle of its images", came, try_this)
-
-
-def reported_lens(reported: Intrinsics | None) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Focal length and centre [px] that pictures report. Raises InputError if the rig file has to state them."""
-    if reported is None:
-        raise InputError("[camera] focal_px and center_px", "none, and a camera that reports none")
-    if any(reported.distortion):
-        came = f"none, and a camera whose images have distortion = {list(reported.distortion)}"
-        raise InputError("[camera] focal_px, center_px and distortion", came, "deformscope calibrate camera")
-    return (reported.fx_px, reported.fy_px), (reported.cx_px, reported.cy_px)
-
-
-def _times_ns(pictures: list[DepthImage]) -> IntArray:
-    return np.array([picture.stamp.host_ns for picture in pictures], np.int64)
-
-
-def _depths_m(pictures: list[DepthImage]) -> dict[int, Any]:
-    return {picture.stamp.host_ns: picture.depth_m() for picture in pictures}
-
-
-def _give(future: Future[Any], answer: Callable[[], Any]) -> None:
-    try:
-        future.set_result(answer())
-    except BaseException as error:
-        future.set_exception(error)

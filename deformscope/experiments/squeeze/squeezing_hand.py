@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 from deformscope.errors import InputError
-from deformscope.experiments.explore.touching_robot import without_long_pauses
+from deformscope.experiments.commanded_robot import CommandedRobot, without_long_pauses
 from deformscope.experiments.squeeze.frames import AIR, OPEN, Predict, SqueezeFrames, SqueezeObserver, TactileSource
 from deformscope.rig.source import RigSource
 from deformscope.robot.squeeze_plan import CLOSING_AXES, PAD_M, GripShape
@@ -21,7 +21,6 @@ from deformscope.session import Inline, Moment, Step
 from deformscope.stages.squeeze.events import BASELINE_FRAMES, ArrayCheck, EventRule, OnsetDetector, StillDetector
 from deformscope.stages.squeeze.trial import SqueezePhase, SqueezeStop
 from deformscope_drivers.errors import DeviceError
-from deformscope_drivers.priority import STEERING, be_prompt
 
 MET_M = 2 * PAD_M + 0.004
 """Fingertips this near to each other have met: nothing is between them."""
@@ -108,8 +107,9 @@ def observer_of(setup: SqueezeSetup, source: RigSource, predict: Predict | None 
     return SqueezeObserver(frames, setup.hand.tactile_end, predict)
 
 
-class SqueezingHand:
-    """The hand over the devices of an open source; a `SessionRobot`.
+class SqueezingHand(CommandedRobot):
+    """The hand over the devices of an open source. Its commands are `PreShape`, `SqueezeOnce`, `HandWait`, and the
+    arm's; if the hand stops, the reason is raised as SqueezeEnded.
 
     arm: carries out the arm's commands, None = no arm
 
@@ -123,16 +123,12 @@ class SqueezingHand:
         observer: SqueezeObserver,
         on_cycle: Callable[[], None] = lambda: None,
     ) -> None:
+        super().__init__("hand", KEEP_EVERY)
         self.on_phase: Callable[[str], None] = lambda phase: None
-        self.stopped: Future[None] = Future()
         self.doing = ""
         self.arm: CarryingArm | None = None
         self.stands = self.restored = True
         self._setup, self._observer, self._on_cycle = setup, observer, on_cycle
-        self._keep: Callable[[], object] | None = None
-        self._pool: ThreadPoolExecutor | None = None
-        self._reports: list[Step] = []
-        self._periods = 0
         self._arm_faulty: Callable[[], str] = lambda: ""
         self._robot = SqueezeRobot(
             source.device(setup.names.hand),  # type: ignore[arg-type]
@@ -146,26 +142,6 @@ class SqueezingHand:
         )
 
     # Commands ---------------------------------------------------------------------------------------------------------
-
-    def carry_out(self, command: object, keep: Callable[[], object]) -> Future[Any]:
-        """Begin with a `PreShape`, `SqueezeOnce` or `HandWait`: in the hand's thread if it has one, else immediately.
-
-        If the hand stops, the reason is raised as SqueezeEnded."""
-        if self._pool is not None:
-            return self._pool.submit(self._do, command)
-        self._keep = keep
-        return Inline().submit(self._do, command)
-
-    def reports(self) -> list[Step]:
-        """The hand's actions since the last call."""
-        taken, self._reports = self._reports, []
-        return taken
-
-    @contextlib.contextmanager
-    def in_a_thread(self) -> Iterator[None]:
-        """Carry commands out in a thread: devices on their own clock are recorded meanwhile."""
-        with ThreadPoolExecutor(1, "hand", be_prompt, (STEERING,)) as self._pool:
-            yield
 
     def ask_to_stop(self, reason: str) -> None:
         """Stop on a person's request: the hand is at rest within a control period."""
@@ -184,13 +160,15 @@ class SqueezingHand:
             arm_stands = self.arm is None or self.arm.halt(reason)
         return self.stands and self.restored and arm_stands
 
-    def _do(self, command: object) -> object:
+    def perform(self, command: object) -> Callable[[], Any]:
+        """Carry a command out, the arm's too; returns a function that returns the answer."""
         if not isinstance(command, PreShape | SqueezeOnce | HandWait):
             if self.arm is None:
                 raise TypeError(f"no command of this hand: {command!r}")
             if self._robot.supervisor.verdict.fault is not SqueezeFault.NONE:  # asked for while the arm did nothing
                 raise self._ended(SqueezeStopped(self._robot.supervisor.verdict))
-            return self.arm.do(command)
+            answer = self.arm.do(command)
+            return lambda: answer
         try:
             with self._watching():
                 match command:
@@ -204,7 +182,7 @@ class SqueezingHand:
                         self._robot.stand_by(command.seconds)
         except SqueezeStopped as stopped:
             raise self._ended(stopped) from stopped
-        return None
+        return lambda: None
 
     @contextlib.contextmanager
     def _watching(self) -> Iterator[None]:
@@ -321,6 +299,4 @@ class SqueezingHand:
         self._on_cycle()
         if (faulty := self._arm_faulty()) and self.doing != OPEN:
             self._robot.supervisor.stop(SqueezeFault.ARM, faulty, self._clock())
-        self._periods += 1
-        if self._keep is not None and self._periods % KEEP_EVERY == 0:
-            self._keep()
+        super().cycled()

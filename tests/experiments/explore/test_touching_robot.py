@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from deformscope.errors import InputError
+from deformscope.experiments.explore.depth_pictures import check_center, reported_lens
 from deformscope.experiments.explore.options import ExploreOptions
 from deformscope.experiments.explore.stage_executor import exploration_stages
-from deformscope.experiments.explore.touching_robot import TouchingRobot, check_center, reported_lens
+from deformscope.experiments.explore.touching_robot import TouchingRobot
 from deformscope.experiments.measured import SetupGeometry, highest_m
 from deformscope.lab.ray_camera import FOAM
 from deformscope.lab.scene_lab import SceneLab
