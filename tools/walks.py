@@ -39,7 +39,7 @@ WALKS: dict[str, tuple[str, ...]] = {
         "deformscope/experiments/explore/explorer.py UnseenSurface.look looked",
         "deformscope/recording/recorder.py Recorder._take_step step",
         "deformscope/log/exploration/results.py exploration_views maps",
-        "deformscope/log/exploration/display.py log_height now surface",
+        "deformscope/log/result_batch.py ResultBatch.show_png self given",
         "deformscope/pictures/exploration.py draw_height axes surface",
     ),
 }

@@ -7,7 +7,7 @@ import numpy as np
 from deformscope.cli.common import recorder_of, say, show_table, write_json
 from deformscope.config import FilesConfig, GoConfig, HomeConfig, JogConfig, WhereConfig
 from deformscope.errors import InputError
-from deformscope.log.rig_layout import RIG
+from deformscope.log.layout import RIG
 from deformscope.rig.rig_file import load_rig
 from deformscope.robot.setup import only_device
 from deformscope.runs import arm_commands

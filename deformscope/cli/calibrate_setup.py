@@ -7,7 +7,7 @@ import cv2
 
 from deformscope.cli.common import quiet_warp, recorder_of, say, show, write_file, write_json
 from deformscope.config import ArmConfig, CameraConfig, SetupOptions
-from deformscope.log.rig_layout import RIG
+from deformscope.log.layout import RIG
 from deformscope.rig.rig_file import load_rig
 from deformscope.runs.arm_calibration import calibrate_arm, opening_of
 from deformscope.runs.calibration_tasks import TASKS

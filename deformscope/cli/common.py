@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
     from deformscope.config import RecordedOptions
     from deformscope.config.options import Flags
-    from deformscope.log.application import Application
+    from deformscope.log.layout import Application
     from deformscope.recording.recorder import Recorder
 
 EXIT_LOSSES = 3
@@ -96,7 +96,7 @@ def recorder_of(
 
     The flags are the recording's settings. application: None = the application for findings, with separate views for
     each command"""
-    from deformscope.log.application import FINDINGS
+    from deformscope.log.layout import FINDINGS
 
     settings = settings_of(config)
     of = application or FINDINGS.variant(str(settings["command"]))

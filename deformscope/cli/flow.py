@@ -12,7 +12,7 @@ from deformscope.errors import InputError
 from deformscope.files.sources import DEFAULT_FPS
 from deformscope.frames import ColorFrame
 from deformscope.images import read_image
-from deformscope.log.application import FLOW
+from deformscope.log.layout import FLOW
 from deformscope.pictures.findings import Findings
 from deformscope.pictures.flow import flow_png
 from deformscope.pictures.report import Table

@@ -84,7 +84,18 @@ class BallCompliance:
         z_m = scene.thickness_m * (1.0 - np.array(depths[::-1]) / depths[-1])
         mesh = MeshHex.init_tensor(self.x_m, self.y_m, z_m)
         basis = Basis(mesh, ElementHex1(), intorder=2)
-        foam, filled = _moduli_pa(scene, ball, mesh.p[:, mesh.t])
+        # (E,), (E,) modulus of each element, (3, 8, E) its corners [m], without the ball and with it. Elements on
+        # its rim have the mean of evenly strained and evenly stressed parts (Hill 1952)
+        corner_m = mesh.p[:, mesh.t]
+        low, side = corner_m.min(axis=1), np.ptp(corner_m, axis=1)
+        share = (np.arange(SAMPLES) + 0.5) / SAMPLES
+        spots = np.stack(np.meshgrid(share, share, share), axis=-1).reshape(-1, 1, 3)
+        places = low.T + spots * side.T
+        foam = scene.modulus_pa(places[..., :2])
+        middle = np.array([*ball.centre_m, scene.thickness_m - ball.depth_m - ball.radius_m])
+        inside = np.linalg.norm(places - middle, axis=-1) < ball.radius_m
+        filled = np.where(inside, ball.modulus_pa, foam)
+        foam, filled = foam.mean(axis=0), 0.5 * (filled.mean(axis=0) + 1.0 / (1.0 / filled).mean(axis=0))
         axes = (self.x_m, self.y_m, z_m)
         self.change = _surface_compliance(basis, filled, scene.poisson, axes) - _surface_compliance(
             basis, foam, scene.poisson, axes
@@ -115,20 +126,6 @@ def _surface_compliance(
     lower, upward = (part[-len(last) :, -len(last) :].toarray() for part in (factors.L, factors.U))
     left = lower @ upward
     return np.asarray(cho_solve(cho_factor(0.5 * (left + left.T)), np.eye(len(last))))
-
-
-def _moduli_pa(scene: Scene, ball: BuriedBall, corner_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(E,), (E,) modulus of each element, (3, 8, E) its corners [m], without the ball and with it. Elements on its rim
-    have the mean of evenly strained and evenly stressed parts (Hill 1952)."""
-    low, side = corner_m.min(axis=1), np.ptp(corner_m, axis=1)
-    share = (np.arange(SAMPLES) + 0.5) / SAMPLES
-    spots = np.stack(np.meshgrid(share, share, share), axis=-1).reshape(-1, 1, 3)
-    places = low.T + spots * side.T
-    foam = scene.modulus_pa(places[..., :2])
-    middle = np.array([*ball.centre_m, scene.thickness_m - ball.depth_m - ball.radius_m])
-    inside = np.linalg.norm(places - middle, axis=-1) < ball.radius_m
-    filled = np.where(inside, ball.modulus_pa, foam)
-    return foam.mean(axis=0), 0.5 * (filled.mean(axis=0) + 1.0 / (1.0 / filled).mean(axis=0))
 
 
 def _beside(middle: float, half: float, side: float) -> FloatArray:

@@ -97,7 +97,8 @@ class Patches:
         from tractions and plastic displacements before it."""
         stiffness = self.stiffness_pa_m
         trial = traction_pa + stiffness * moved_m
-        over = trial - self._yield(plastic_m)
+        hardening = plastic_m / np.maximum(plastic_m + self.half_m, 1e-12)
+        over = trial - (self.most_pa * np.where(self.half_m > 0.0, hardening, 1.0))
         flows = (over > LEAST_PA) & (stiffness > 0.0)
         growth, slope = np.zeros(trial.shape), stiffness.copy()
         if flows.any():
@@ -105,10 +106,6 @@ class Patches:
         traction = trial - stiffness * growth
         low = traction < self.least_pa
         return np.where(low, self.least_pa, traction), plastic_m + growth, np.where(low, 0.0, slope)
-
-    def _yield(self, plastic_m: FloatArray) -> FloatArray:
-        hardening = plastic_m / np.maximum(plastic_m + self.half_m, 1e-12)
-        return self.most_pa * np.where(self.half_m > 0.0, hardening, 1.0)
 
     def _grow(
         self, at: BoolArray, trial: FloatArray, plastic_m: FloatArray, over: FloatArray, step_s: float

@@ -131,7 +131,19 @@ class Shell:
 
     def __init__(self, shape: ContainerShape) -> None:
         self.shape = shape
-        self.s_m, self.z_m = _around(shape), _upwards(shape)
+        # (n,) nodes along the perimeter [m], finer where fingers press
+        if shape.kind == "cylinder":
+            half = shape.perimeter_m / 2
+            low, first, second, third = -FINE_HALF_M, FINE_HALF_M, half - FINE_HALF_M, half + FINE_HALF_M
+        else:
+            low, first, second, third = _corners(shape)
+        fine, coarse = round((first - low) / FINE_M), round((second - first) / (1.5 * FINE_M))
+        end = low + shape.perimeter_m
+        parts = [(low, first, fine), (first, second, coarse), (second, third, fine), (third, end, coarse)]
+        self.s_m, self.z_m = (
+            np.concatenate([np.linspace(a, b, count, endpoint=False) for a, b, count in parts]),
+            _upwards(shape),
+        )
         self._along, self._up = _Line(self.s_m, shape.perimeter_m), _Line(self.z_m)
         self._fields = 1 if shape.kind == "box" else 3
         self._size = self._along.size * self._up.size
@@ -289,19 +301,6 @@ def _dd(u: DiscreteField) -> Any:
 def _corners(shape: ContainerShape) -> tuple[float, float, float, float]:
     x_m, y_m, _ = shape.half_m
     return -y_m, y_m, y_m + 2 * x_m, 3 * y_m + 2 * x_m
-
-
-def _around(shape: ContainerShape) -> FloatArray:
-    """(n,) nodes along the perimeter [m], finer where fingers press."""
-    if shape.kind == "cylinder":
-        half = shape.perimeter_m / 2
-        low, first, second, third = -FINE_HALF_M, FINE_HALF_M, half - FINE_HALF_M, half + FINE_HALF_M
-    else:
-        low, first, second, third = _corners(shape)
-    fine, coarse = round((first - low) / FINE_M), round((second - first) / (1.5 * FINE_M))
-    end = low + shape.perimeter_m
-    parts = [(low, first, fine), (first, second, coarse), (second, third, fine), (third, end, coarse)]
-    return np.concatenate([np.linspace(a, b, count, endpoint=False) for a, b, count in parts])
 
 
 def _upwards(shape: ContainerShape) -> FloatArray:

@@ -74,7 +74,12 @@ class ContainerView(RayCamera):
         s_m, z_m = np.meshgrid(fine[0][0][:-1], fine[1][0], indexing="ij")
         self._points, self._normals = (array.reshape(-1, 3) for array in shape.place(s_m, z_m))
         self._rows = s_m.shape[1]
-        self._triangles = _closed(np.arange(s_m.size).reshape(s_m.shape), s_m.size)
+        around = np.arange(s_m.size).reshape(s_m.shape)
+        wall = np.vstack([around, around[:1]])
+        number = wall.ravel()[grid_triangles(*wall.shape)]
+        high = around[:, -1]
+        lid = np.column_stack([high, np.roll(high, -1), np.full(len(high), s_m.size)])
+        self._triangles = np.concatenate([number, lid]).astype(np.uint32)
         corner = TABLE_M * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float64)
         corner[:, 2] = -shape.half_m[2]
         corners = corner @ T_hand_container[:3, :3].T + T_hand_container[:3, 3]
@@ -140,12 +145,3 @@ def _between(nodes_m: FloatArray, parts: int) -> tuple[FloatArray, FloatArray]:
     """Nodes with this number of equal parts between two of them; the nodes."""
     number = np.arange(parts * (len(nodes_m) - 1) + 1) / parts
     return np.interp(number, np.arange(len(nodes_m)), nodes_m), nodes_m
-
-
-def _closed(around: npt.NDArray[np.int64], top: int) -> npt.NDArray[np.uint32]:
-    """Triangles of a wall that is closed around, (nodes along s, along z), and of its lid, whose middle is `top`."""
-    wall = np.vstack([around, around[:1]])
-    number = wall.ravel()[grid_triangles(*wall.shape)]
-    high = around[:, -1]
-    lid = np.column_stack([high, np.roll(high, -1), np.full(len(high), top)])
-    return np.concatenate([number, lid]).astype(np.uint32)

@@ -31,7 +31,13 @@ def moved_by_hand(arm: JacoDouble) -> Iterator[Callable[[], None]]:
             due = start + cycle * CYCLE_S
             if ended.wait(max(due - time.monotonic(), 0.0)):
                 return
-            send(_point(cycle * CYCLE_S))
+            time_s = cycle * CYCLE_S
+            point = TrajectoryPoint()
+            point.Position.Type = ANGULAR_VELOCITY
+            for number, (rate_deg_s, period_s) in enumerate(SWINGS, start=1):
+                rate = rate_deg_s * math.cos(2 * math.pi * time_s / period_s)
+                setattr(point.Position.Actuators, f"Actuator{number}", rate)
+            send(point)
 
     mover = threading.Thread(target=move, name="operator", daemon=True)
     mover.start()
@@ -44,15 +50,6 @@ def moved_by_hand(arm: JacoDouble) -> Iterator[Callable[[], None]]:
         yield let_go
     finally:
         let_go()
-
-
-def _point(time_s: float) -> TrajectoryPoint:
-    point = TrajectoryPoint()
-    point.Position.Type = ANGULAR_VELOCITY
-    for number, (rate_deg_s, period_s) in enumerate(SWINGS, start=1):
-        rate = rate_deg_s * math.cos(2 * math.pi * time_s / period_s)
-        setattr(point.Position.Actuators, f"Actuator{number}", rate)
-    return point
 
 
 GRASP_PERIOD_NS = 4_000_000_000

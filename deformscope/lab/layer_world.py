@@ -57,21 +57,19 @@ class LayerWorld:
             self.pressed = np.array([*center[:2], 0.0])
             return np.array([0.0, 0.0, table_n])
         modulus = float(np.exp(np.log(scene.modulus_pa(center[:2] + self._around_m)).mean()))
-        newtons = modulus * self._newtons_per_pa(depth, float(foot[2]))
-        self.pressed = np.array([*center[:2], depth])
-        return np.asarray(newtons * normal + np.array([0.0, 0.0, table_n]))
-
-    def _newtons_per_pa(self, depth_m: float, thickness_m: float) -> float:
-        """Force over Young's modulus [N/Pa] at a depth: with a = how deep Hertz's ball would be,
-        depth = a - held a^(3/2)."""
+        # force over Young's modulus [N/Pa] at a depth: with a = how deep Hertz's ball would be, depth = a - held
+        # a^(3/2)
+        thickness_m = float(foot[2])
         poisson = self.scene.poisson
         hertz = 4.0 / 3.0 / (1.0 - poisson**2) * np.sqrt(self._radius_m)
         held = hertz * (1.0 + poisson) * (3.0 - 2.0 * poisson) / (2.0 * np.pi * thickness_m)
-        alone_m = depth_m
+        alone_m = depth
         for _ in range(NEWTON_STEPS):
-            off_m = alone_m - held * alone_m**1.5 - depth_m
+            off_m = alone_m - held * alone_m**1.5 - depth
             alone_m -= off_m / max(1.0 - 1.5 * held * np.sqrt(alone_m), LEAST_SLOPE)
-        return float(hertz * alone_m**1.5)
+        newtons = modulus * float(hertz * alone_m**1.5)
+        self.pressed = np.array([*center[:2], depth])
+        return np.asarray(newtons * normal + np.array([0.0, 0.0, table_n]))
 
     def displaced_m(self, places_m: npt.NDArray[np.floating]) -> FloatArray:
         """(n, 3) displacement of the surface at places (n, 2) [m], that of a half-space below Hertz's pressure (Johnson

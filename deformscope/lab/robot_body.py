@@ -63,15 +63,14 @@ class RobotBody:
         T_base_links: (k, 4, 4) poses of joints and end; center_m: (3,) measured centre of the tip, which a push moves
         away from that of the chain"""
         stick = arm_shape(placement, T_base_links, center_m, description=self._truth)
-        return (*stick, *self._cable(placement, T_base_links)), self._truth.solids(placement, T_base_links)
-
-    def _cable(self, placement: Placement, T_base_links: FloatArray) -> tuple[Capsule, ...]:
-        """Capsules along the cable, which hangs between its ends and sways differently in each picture. T_base_links:
-        (k, 4, 4) [m]"""
+        # capsules along the cable, which hangs between its ends and sways differently in each picture.
+        # T_base_links: (k, 4, 4) [m]
         T = placement.T_surface_base @ T_base_links[-1]
         along = np.linspace(0.0, 1.0, CABLE_PIECES + 1)
         knots = np.linspace(0.0, 1.0, len(CABLE_M))
         way = make_interp_spline(knots, np.array(CABLE_M) @ T[:3, :3].T + T[:3, 3])(along)
         sway = np.clip(self._random.standard_normal(3), -2.0, 2.0) * SWAY_M
         way += np.sin(np.pi * along)[:, None] * (sway - (0.0, 0.0, SAG_M))
-        return tuple(Capsule(a, b, CABLE_RADIUS_M) for a, b in pairwise(way))
+        return (*stick, *tuple(Capsule(a, b, CABLE_RADIUS_M) for a, b in pairwise(way))), self._truth.solids(
+            placement, T_base_links
+        )

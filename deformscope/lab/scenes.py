@@ -362,7 +362,17 @@ COUNT = {"homogeneous": 1, "two": 2, "three": 3} | {kind: len(pieces) for kind, 
 
 def built_in(name: str, seed: int = 0) -> Scene:
     """The scene of a name (`BUILT_IN`, or one with other hardnesses), laid out by a seed."""
-    kind, pieces = _parsed(name)
+    # kind of scene, and the names of its pieces
+    kind, piece = "|".join(sorted(DRAWN)), r"(?:rigid|[1-9]\d{0,3}(?:y[1-9]\d?|(?:c[1-9]\d?)?(?:p[1-9]\d?)?))"
+    found = re.fullmatch(rf"({kind})((?:-{piece})*)", name)
+    expected = f"a scene: {', '.join(BUILT_IN | BURIED)}, or one with other hardnesses"
+    if found is None:
+        near = difflib.get_close_matches(name, BUILT_IN | BURIED, n=1)
+        raise InputError(expected, repr(name), near[0] if near else "two-80-200, three-60-110-rigid")
+    pieces = tuple(found[2].split("-")[1:]) or PIECES.get(found[1], ())
+    if len(pieces) != COUNT.get(found[1], 0):
+        raise InputError(f"{COUNT.get(found[1], 0)} hardnesses in {found[1]}", repr(name), "two-80-200")
+    kind, pieces = found[1], pieces
     # each name has its own stream, so that equal seeds of two scenes are not the same layout
     random = np.random.default_rng([seed, zlib.crc32(name.encode())])
     drawn = {one.what: float(random.uniform(one.low, one.high)) for one in DRAWN[kind]}
@@ -395,20 +405,6 @@ def _buried(name: str, seed: int, pieces: tuple[str, ...], drawn: dict[str, floa
 
 def _even(modulus_pa: float) -> Places:
     return lambda xy: np.full(np.shape(xy)[:-1], modulus_pa)
-
-
-def _parsed(name: str) -> tuple[str, tuple[str, ...]]:
-    """Kind of scene, and the names of its pieces."""
-    kind, piece = "|".join(sorted(DRAWN)), r"(?:rigid|[1-9]\d{0,3}(?:y[1-9]\d?|(?:c[1-9]\d?)?(?:p[1-9]\d?)?))"
-    found = re.fullmatch(rf"({kind})((?:-{piece})*)", name)
-    expected = f"a scene: {', '.join(BUILT_IN | BURIED)}, or one with other hardnesses"
-    if found is None:
-        near = difflib.get_close_matches(name, BUILT_IN | BURIED, n=1)
-        raise InputError(expected, repr(name), near[0] if near else "two-80-200, three-60-110-rigid")
-    pieces = tuple(found[2].split("-")[1:]) or PIECES.get(found[1], ())
-    if len(pieces) != COUNT.get(found[1], 0):
-        raise InputError(f"{COUNT.get(found[1], 0)} hardnesses in {found[1]}", repr(name), "two-80-200")
-    return found[1], pieces
 
 
 def _layout(kind: str, drawn: dict[str, float]) -> Labels:

@@ -197,7 +197,13 @@ class SlabWorld:
         center = np.asarray(center_m, dtype=np.float64)
         if center.shape != (3,) or not np.isfinite(center).all():
             raise InputError("a place of three finite numbers", str(center_m))
-        foot, normal = self._foot(center)
+        # (3,) the place of the rest surface whose normal goes through a point, and (3,) that normal
+        foot = center
+        normal = self.scene.normal(center[:2])
+        for _ in range(FOOT_ROUNDS):
+            foot = np.append(foot[:2], self.scene.foam_height_m(foot[:2]))
+            normal = self.scene.normal(foot[:2])
+            foot = center - ((center - foot) @ normal) * normal
         depth = (tip.radius or 0.0) - float((center - foot) @ normal)
         table = np.array([0.0, 0.0, TABLE_N_PER_M * max(0.0, (tip.radius or 0.0) - float(center[2]))])
         side = np.linspace(-1.0, 1.0, 9)
@@ -233,16 +239,6 @@ class SlabWorld:
             near = (np.abs(xy_m - patch.xy_m) < 2.5 * self.scene.thickness_m + patch.reach_m).all(axis=-1)
             moved[near] = patch.displaced_m(contact.node_force_n, contact.node, xy_m[near])
         return moved
-
-    def _foot(self, center: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(3,) the place of the rest surface whose normal goes through a point, and (3,) that normal."""
-        foot = center
-        normal = self.scene.normal(center[:2])
-        for _ in range(FOOT_ROUNDS):
-            foot = np.append(foot[:2], self.scene.foam_height_m(foot[:2]))
-            normal = self.scene.normal(foot[:2])
-            foot = center - ((center - foot) @ normal) * normal
-        return foot, normal
 
 
 def _half_m(tip: RigidTip) -> FloatArray:

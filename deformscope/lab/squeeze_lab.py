@@ -138,13 +138,21 @@ class SqueezedContainer:
 
     def truth(self) -> ContainerTruth:
         """The simulated truth, up to now."""
+        # from the end of the pressing backwards, the first cycle of those in which the joints are still
+        steady_ns: int | None = None
+        pressed = list(self._speeds)
+        opened = next((i for i, (_, speed) in enumerate(pressed) if speed < -STILL_DEG_S), len(pressed))
+        for at_ns, speed in reversed(pressed[:opened]):
+            if abs(speed) >= STILL_DEG_S:
+                break
+            steady_ns = at_ns
         return ContainerTruth(
             content=self.case.content,
             container=self.case.container,
             fill=self.draw.fill,
             mass_kg=self.world.mass_kg,
             contact_ns=self._contact_ns,
-            steady_ns=self._steady_ns(),
+            steady_ns=steady_ns,
             T_hand_container=self.world.T_hand_container,
             T_hand_camera=self.view.T_world_camera,
             force_n=self.world.force_n,
@@ -175,17 +183,6 @@ class SqueezedContainer:
             turned = (reached - before)[list(LOADED)] / step_s
             self._speeds.append((now_ns, float(turned[np.argmax(np.abs(turned))])))
         return [float(angle) for angle in reached]
-
-    def _steady_ns(self) -> int | None:
-        """From the end of the pressing backwards, the first cycle of those in which the joints are still."""
-        steady_ns: int | None = None
-        pressed = list(self._speeds)
-        opened = next((i for i, (_, speed) in enumerate(pressed) if speed < -STILL_DEG_S), len(pressed))
-        for at_ns, speed in reversed(pressed[:opened]):
-            if abs(speed) >= STILL_DEG_S:
-                break
-            steady_ns = at_ns
-        return steady_ns
 
     def _felt(self, _: float) -> list[npt.NDArray[np.float64]]:
         """Pressures (rows, columns) on the six pads [Pa]."""

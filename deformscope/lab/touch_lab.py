@@ -162,7 +162,13 @@ class TouchLab:
                 action()
                 continue
             self.clock.advance_to(then_ns)
-            self._feel()
+            # once in each of the arm's cycles: the contact at its new pose
+            cycle = self.clock() // ARM_CYCLE_NS
+            if cycle != self._cycle:
+                self._cycle = cycle
+                if self.on_cycle is not None:
+                    self.on_cycle()
+                self.contact.feel()
             if arm_waits and self.clock() >= self._arm_ns and self.arm.is_open:
                 every_ns = POLL_NS if self._jaco is None else ARM_CYCLE_NS
                 late_ns = 0 if self._jaco is None else round(self.arm_late_s * 1e9)
@@ -187,15 +193,6 @@ class TouchLab:
         """Call a function at a time of the clock, between two control periods."""
         self.scheduled.append((moment_ns, action))
         self.scheduled.sort(key=lambda one: one[0])
-
-    def _feel(self) -> None:
-        """Once in each of the arm's cycles: the contact at its new pose."""
-        cycle = self.clock() // ARM_CYCLE_NS
-        if cycle != self._cycle:
-            self._cycle = cycle
-            if self.on_cycle is not None:
-                self.on_cycle()
-            self.contact.feel()
 
 
 def _poll(device: Device[Any]) -> None:
@@ -274,7 +271,15 @@ class Spoiled:
                 self._turn(_structure(arguments[0]))
             code = asked(*arguments)
             if name in ("GetAngularPosition", "GetCartesianPosition") and arguments:
-                self._spoil(name, _structure(arguments[0]))
+                answer = _structure(arguments[0])
+                size = ctypes.sizeof(answer)
+                if self.frozen and name in self._last:
+                    ctypes.memmove(ctypes.byref(answer), self._last[name], size)
+                else:
+                    self._last[name] = ctypes.string_at(ctypes.addressof(answer), size)
+                if self.invalid:
+                    values = (ctypes.c_float * (size // 4)).from_buffer(answer)
+                    values[0] = values[1] = math.nan
             return code
 
         return called
@@ -289,16 +294,6 @@ class Spoiled:
         twist = np.concatenate([-np.cross(self.turning_rad_s, lever_m), self.turning_rad_s])
         more_deg_s = np.degrees(damped_joint_rates(jacobian_of(links), twist))
         point.Position.Actuators = AngularInfo(*(np.array(rates_deg_s) + more_deg_s))
-
-    def _spoil(self, name: str, answer: ctypes.Structure) -> None:
-        size = ctypes.sizeof(answer)
-        if self.frozen and name in self._last:
-            ctypes.memmove(ctypes.byref(answer), self._last[name], size)
-        else:
-            self._last[name] = ctypes.string_at(ctypes.addressof(answer), size)
-        if self.invalid:
-            values = (ctypes.c_float * (size // 4)).from_buffer(answer)
-            values[0] = values[1] = math.nan
 
 
 def _structure(argument: Any) -> ctypes.Structure:

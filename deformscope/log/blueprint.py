@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import rerun.blueprint as rrb
 
-from deformscope.log.application import PictureLayout
 from deformscope.log.canvas import COLUMN_SHARE, ROW_SHARE, Canvas
+from deformscope.log.layout import PictureLayout
 from deformscope.log.rig.blueprint import LEGEND, blueprint_of
 
 NAMES = {

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import rerun as rr
 
-from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.arrays import BoolArray, FloatArray
 from deformscope.log.canvas import Canvas, deep_bar, log_color_bar, log_deep_legend, log_legend, log_place, sides_of
 from deformscope.log.particles import REST_RADIUS, SIMULATED_RADIUS, log_observed, log_rest
 from deformscope.pictures.evidence import errors, evidence_png
@@ -151,7 +151,10 @@ def _log_deep(rec: rr.RecordingStream, comparison: Comparison, length: FloatArra
         if not inside.all():
             rec.log(f"beyond/{name}", rr.Points3D(position[finite & ~inside], colors=color))
     if surface:
-        net = comparison.simulated[_net(comparison, inside, NET * radius)]
+        rows = np.flatnonzero(inside & np.isfinite(comparison.simulated).all(axis=1))
+        joined = rows[sides_of(triangulate(comparison.rest[rows]))]
+        apart = np.linalg.norm(comparison.rest[joined[:, 0]] - comparison.rest[joined[:, 1]], axis=1)
+        net = comparison.simulated[np.asarray(joined[apart <= (NET * radius)])]
         rec.log("particles/net", rr.LineStrips3D(net, radii=radius * 0.03, colors=SIMULATED))
     marks = [(0.0, "rest", REST), (0.5, "observed", OBSERVED), (1.0, "simulated", SIMULATED)]
     log_deep_legend(rec, "particles/legend", canvas, marks)
@@ -176,14 +179,6 @@ def _inside(comparison: Comparison, canvas: Canvas) -> BoolArray:
     low, high = np.array(canvas.low[:2]), np.array(canvas.high[:2])
     grace = 0.1 * canvas.spacing
     return np.asarray(((shown >= low - grace) & (shown <= high + grace)).all(axis=1))
-
-
-def _net(comparison: Comparison, inside: BoolArray, longest: float) -> IntArray:
-    """(n, 2) neighbours on a surface, to be joined by lines."""
-    rows = np.flatnonzero(inside & np.isfinite(comparison.simulated).all(axis=1))
-    joined = rows[sides_of(triangulate(comparison.rest[rows]))]
-    apart = np.linalg.norm(comparison.rest[joined[:, 0]] - comparison.rest[joined[:, 1]], axis=1)
-    return np.asarray(joined[apart <= longest])
 
 
 def _log_deep_heat(

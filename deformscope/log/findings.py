@@ -11,9 +11,9 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from deformscope.frames import Stream
-from deformscope.log.application import PictureLayout
 from deformscope.log.blueprint import blueprint, deep_view
 from deformscope.log.canvas import Canvas, deep_bar, log_color_bar, log_deep_legend, log_place
+from deformscope.log.layout import PictureLayout
 from deformscope.log.rig.blueprint import blueprint_of, rig_blueprint
 from deformscope.pictures.findings import ColoredBody, Findings, table_markdown
 from deformscope.pictures.palette import Rgb, colors, round_up

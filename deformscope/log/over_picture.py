@@ -12,8 +12,7 @@ import rerun as rr
 from deformscope.log.canvas import Canvas
 from deformscope.log.estimate import log_comparison, log_estimate
 from deformscope.log.findings import RigFindings, log_evidence, log_findings, log_numbers, log_rig_findings
-from deformscope.log.flow import log_flow
-from deformscope.log.particles import log_grid, log_tracked
+from deformscope.log.particles import log_flow, log_grid, log_tracked
 from deformscope.log.states import log_states
 from deformscope.log.views import ShownStage, Views, views_of
 from deformscope.pictures.close_up import close_up

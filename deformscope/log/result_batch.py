@@ -18,6 +18,11 @@ from deformscope.rows import ENTITIES, SERIES
 P = ParamSpec("P")
 
 
+def png_view(path: str, draw: Callable[..., bytes], *more: object) -> Callable[[ResultBatch, Any], None]:
+    """The view that logs the PNG of a result. draw: a function of a module, called with the result and `more`"""
+    return lambda now, result: now.show_png(path, draw, result, *more)
+
+
 class ResultBatch:
     """A batch, and the place on the timelines at which its rows are logged."""
 
@@ -56,6 +61,10 @@ class ResultBatch:
     def show_words(self, path: str, text: str, level: str) -> None:
         """Log a line of text."""
         self.show(path, rr.TextLog(text, level=level))
+
+    def show_stop(self, stop: Any) -> None:
+        """Log the end by a fault."""
+        self.show_words(ENTITIES[type(stop)], f"{stop.kind}: {stop.reason}", "ERROR")
 
     def show_phase(self, phase: Any, known: Mapping[str, Rgb]) -> None:
         """Log a phase, shown on a lane over time. known: phases whose colour was logged before; the phase of a stop,

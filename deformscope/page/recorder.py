@@ -13,7 +13,7 @@ from typing import Any, Literal, Protocol
 
 from deformscope.frames import HealthReport, NoteKind, SessionNote, Stream, host_ns
 from deformscope.interruption import Interruption
-from deformscope.log.rig_layout import RigLayout
+from deformscope.log.layout import RigLayout
 from deformscope.page.devices import ShownDevices
 from deformscope.page.server.messages import (
     BeginEpisode,

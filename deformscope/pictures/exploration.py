@@ -242,17 +242,13 @@ def draw_gain(axes: Axes, plan: PlannedTouch, cell_m: float, contacts_m: FloatAr
 
 
 def draw_height(axes: Axes, surface: SurfaceEstimate) -> None:
-    low, high = _height_range(surface.height_m * 1e3)
+    height_mm = surface.height_m * 1e3
+    low, high = float(height_mm.min()), float(height_mm.max())
+    more = max(0.5 * (LEAST_RANGE_MM - (high - low)), 0.0)
+    low, high = low - more, high + more
     _draw_map(axes, surface.height_m * 1e3, surface.cell_m, HEIGHT, "[mm]", low=low, high=high)
     _draw_levels(axes, surface.deviation_m * 1e3, surface.cell_m, "mm")
     _title(axes, "Height of the surface", "lines: one standard deviation")
-
-
-def _height_range(height_mm: FloatArray) -> tuple[float, float]:
-    """Ends of a scale of heights: not so near that a level surface looks like hills."""
-    low, high = float(height_mm.min()), float(height_mm.max())
-    more = max(0.5 * (LEAST_RANGE_MM - (high - low)), 0.0)
-    return low - more, high + more
 
 
 def draw_force(axes: Axes, touch: TouchEstimate, name: str = "") -> None:

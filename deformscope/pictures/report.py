@@ -128,26 +128,26 @@ def _part(part: Part) -> str:
                 f'<strong style="color: {color}">{escape(part.headline)}</strong>{words}</div>'
             )
         case Table():
-            return _table(part)
+            caption = f"<caption>{escape(part.caption)}</caption>" if part.caption else ""
+            head = ""
+            if part.names:
+                head = (
+                    "<thead><tr>"
+                    + "".join(f'<th scope="col">{escape(name)}</th>' for name in part.names)
+                    + "</tr></thead>"
+                )
+            rows = []
+            for row in part.rows:
+                cells = [_link(cell) if isinstance(cell, Link) else escape(str(cell)) for cell in row]
+                first = f"<td>{cells[0]}</td>" if part.names else f'<th scope="row">{cells[0]}</th>'
+                rows.append(f"<tr>{first}" + "".join(f"<td>{cell}</td>" for cell in cells[1:]) + "</tr>")
+            return f'<div class="scroll"><table>{caption}{head}<tbody>' + "\n".join(rows) + "</tbody></table></div>"
         case Figure():
             return _figure(part)
         case Code():
             return f"<pre><code>{escape(part.text)}</code></pre>"
         case tuple():
             return '<div class="pair">\n' + "\n".join(_figure(one) for one in part) + "\n</div>"
-
-
-def _table(table: Table) -> str:
-    caption = f"<caption>{escape(table.caption)}</caption>" if table.caption else ""
-    head = ""
-    if table.names:
-        head = "<thead><tr>" + "".join(f'<th scope="col">{escape(name)}</th>' for name in table.names) + "</tr></thead>"
-    rows = []
-    for row in table.rows:
-        cells = [_link(cell) if isinstance(cell, Link) else escape(str(cell)) for cell in row]
-        first = f"<td>{cells[0]}</td>" if table.names else f'<th scope="row">{cells[0]}</th>'
-        rows.append(f"<tr>{first}" + "".join(f"<td>{cell}</td>" for cell in cells[1:]) + "</tr>")
-    return f'<div class="scroll"><table>{caption}{head}<tbody>' + "\n".join(rows) + "</tbody></table></div>"
 
 
 def _link(link: Link) -> str:

@@ -28,7 +28,14 @@ class Discard:
 
 def discards_of(recording: Path, notes: Iterable[SessionNote]) -> list[Discard]:
     """Its discarded parts, by its notes and its ledger."""
-    found = _noted(notes)
+    found, labels = [], list[str]()
+    for note in notes:
+        if note.about == "episode-begin":
+            labels.append(note.text)
+        elif note.about == "discard-episode" and labels:
+            found.append(Discard(note.text, len(labels), labels[-1]))
+        elif note.about == "discard-recording":
+            found.append(Discard(note.text))
     for one in read_discards(recording):  # of whatever wrote that ledger
         found.append(Discard(str(one.get("reason", "")), int(one.get("episode", 0)), str(one.get("label", ""))))
     return found
@@ -51,16 +58,4 @@ def discard(recording: Path, reason: str, episode: int, notes: Iterable[SessionN
         raise InputError("a recording that its ledger fits", problems[0], "deformscope verify", recording)
     found = Discard(reason, episode, labels[episode - 1] if episode else "")
     add_discard(recording, {"reason": found.reason, "episode": found.episode, "label": found.label})
-    return found
-
-
-def _noted(notes: Iterable[SessionNote]) -> list[Discard]:
-    found, labels = [], list[str]()
-    for note in notes:
-        if note.about == "episode-begin":
-            labels.append(note.text)
-        elif note.about == "discard-episode" and labels:
-            found.append(Discard(note.text, len(labels), labels[-1]))
-        elif note.about == "discard-recording":
-            found.append(Discard(note.text))
     return found

@@ -253,7 +253,10 @@ class LiveFeed(Generic[StreamT]):
             self._jobs.append((job, size, lasting))
             self._bytes += size
             while len(self._jobs) > 1 and (len(self._jobs) > self._capacity[0] or self._bytes > self._capacity[1]):
-                self._drop_oldest()
+                place = next((at for at, (_, _, lasting) in enumerate(self._jobs) if not lasting), 0)
+                self._bytes -= self._jobs[place][1]
+                del self._jobs[place]
+                self._lost += 1
             self._ready.notify()
 
     def close(self, timeout_s: float) -> bool:
@@ -328,9 +331,3 @@ class LiveFeed(Generic[StreamT]):
             self._lost += len(self._jobs) + self._unconfirmed
             self._unconfirmed = 0
             self._jobs.clear()
-
-    def _drop_oldest(self) -> None:
-        place = next((at for at, (_, _, lasting) in enumerate(self._jobs) if not lasting), 0)
-        self._bytes -= self._jobs[place][1]
-        del self._jobs[place]
-        self._lost += 1

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deformscope.frames import ColorFrame, InputFile, Item
-from deformscope.log.application import PictureLayout
+from deformscope.log.layout import PictureLayout
 from deformscope.recording.outputs import Outputs
 from deformscope.session import Step
 
@@ -68,7 +68,9 @@ class PictureEncoder:
             self._arrange(canvas)
 
         def log(rec: rr.RecordingStream) -> None:
-            _set_times(rec, times)
+            frame, session_ns = times
+            rec.set_time("frame", sequence=frame)
+            rec.set_time("session", duration=np.timedelta64(session_ns, "ns"))
             log_over_picture(rec, shown)
 
         self._outputs.log(log, size)
@@ -106,9 +108,3 @@ class PictureEncoder:
 
 def _send(prepare: Callable[..., Batch], live: LiveStream) -> None:
     live.send(prepare(lossless=False))
-
-
-def _set_times(rec: rr.RecordingStream, times: tuple[int, int]) -> None:
-    frame, session_ns = times
-    rec.set_time("frame", sequence=frame)
-    rec.set_time("session", duration=np.timedelta64(session_ns, "ns"))

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 Pace = Literal["fast", "real", "step"]
 RRD_MAGIC = b"RRF"
 APPLICATION_PREFIX = "deformscope"
-"""Prefix of deformscope's application names in rerun (`deformscope.log.application`)."""
+"""Prefix of deformscope's application names in rerun (`deformscope.log.layout`)."""
 BLOB = "EncodedImage:blob"
 IMAGE_FIELDS = {BLOB: "image", "EncodedDepthImage:blob": "depth", "DepthFrame:color": "color"}
 """Kind of the images in each component."""

@@ -14,8 +14,7 @@ from dataclasses import dataclass, field, replace
 from typing import Self
 
 from deformscope.frames import HealthReport, Item, Stream, host_ns
-from deformscope.log.layout import RecordingLayout
-from deformscope.log.rig_layout import RigLayout
+from deformscope.log.layout import RecordingLayout, RigLayout
 from deformscope.recording.lateness import RecordingError
 from deformscope.recording.losses import since
 from deformscope.recording.portions import item_size

@@ -19,8 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from deformscope.frames import Frame, HealthReport, InputFile, Item, StageResult
-from deformscope.log.application import IMAGES, Application
-from deformscope.log.layout import RecordingLayout
+from deformscope.log.layout import IMAGES, Application, RecordingLayout
 from deformscope.recording import provenance
 from deformscope.recording.device_encoder import DeviceEncoder
 from deformscope.recording.lateness import Lateness, RecordingError
@@ -312,7 +311,13 @@ class Recorder:
         path, file = None, self._outputs.file
         if file is not None and self._target is not None:
             if not file.broken:
-                file.write_properties("outcome", self._outcome(dropped, failure, whole=complete))
+                found: dict[str, object] = {"frames": self._frames, "steps": self._steps}
+                found |= {"live_dropped": dropped, "complete": complete and failure is None}
+                if self._stopped or failure is not None:
+                    found["stopped"] = self._stopped or str(failure).split(" | ")[0]
+                if self._counts:
+                    found |= {"counts": json.dumps(self._counts), "losses": json.dumps(self._losses)}
+                file.write_properties("outcome", found)
                 try:
                     file.flush_last()
                 except RecordingError as error:
@@ -327,15 +332,6 @@ class Recorder:
         self._finished = RecordingSummary(path, self._frames, self._steps, dropped, size)
         if complete and failure is not None:
             raise failure
-
-    def _outcome(self, dropped: int, failure: Exception | None, *, whole: bool) -> dict[str, object]:
-        found: dict[str, object] = {"frames": self._frames, "steps": self._steps}
-        found |= {"live_dropped": dropped, "complete": whole and failure is None}
-        if self._stopped or failure is not None:
-            found["stopped"] = self._stopped or str(failure).split(" | ")[0]
-        if self._counts:
-            found |= {"counts": json.dumps(self._counts), "losses": json.dumps(self._losses)}
-        return found
 
     def _end_writing(self) -> Exception | None:
         """Have the writer finish; the error that prevented it."""

@@ -137,7 +137,17 @@ class RecordingFile:
 
     def flush(self) -> None:
         """Write the data to the disk, if it has enough space."""
-        self._look_at_disk()
+        if not self._deterministic:
+            free = shutil.disk_usage(self.path.parent).free
+            if said := self._forecast.look(free, time.monotonic()):
+                _logger.warning("%s: the recording, and a robot with it, is stopped before that", said)
+        try:
+            check_room(self.path, self._forecast.reserve)
+        except RecordingError as error:
+            if self._merged_stream is None or self._merged_path.stat().st_size < lateness.FREE_BYTES:
+                self.broken = shutil.disk_usage(self.path.parent).free < FULL_BYTES
+                raise
+            self._do_without_merged(self._merged_stream, str(error))  # and more room for the other
         self.flush_last()
 
     def flush_last(self) -> None:
@@ -201,19 +211,6 @@ class RecordingFile:
     def _log(self, job: Callable[[rr.RecordingStream], None]) -> None:
         streams = [self._stream] if self._merged_stream is None else [self._stream, self._merged_stream]
         job(cast("rr.RecordingStream", _Each(streams)))
-
-    def _look_at_disk(self) -> None:
-        if not self._deterministic:
-            free = shutil.disk_usage(self.path.parent).free
-            if said := self._forecast.look(free, time.monotonic()):
-                _logger.warning("%s: the recording, and a robot with it, is stopped before that", said)
-        try:
-            check_room(self.path, self._forecast.reserve)
-        except RecordingError as error:
-            if self._merged_stream is None or self._merged_path.stat().st_size < lateness.FREE_BYTES:
-                self.broken = shutil.disk_usage(self.path.parent).free < FULL_BYTES
-                raise
-            self._do_without_merged(self._merged_stream, str(error))  # and more room for the other
 
     def _flush_merged(self, merged: rr.RecordingStream) -> None:
         try:

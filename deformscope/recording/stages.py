@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from deformscope.frames import StageCost
-from deformscope.log import application
+from deformscope.log import layout
 from deformscope.log.canvas import Canvas
 from deformscope.log.exploration.layout import EXPLORATION
 from deformscope.log.exploration.results import CELL_M, exploration_views
+from deformscope.log.layout import RIG
 from deformscope.log.over_picture import OF_APPLICATION, picture_views
-from deformscope.log.rig_layout import RIG
 from deformscope.log.squeeze.layout import SQUEEZE
 from deformscope.log.squeeze.results import squeeze_views
 from deformscope.log.stages import STAGE_VIEWS
@@ -26,7 +26,7 @@ from deformscope.recording.reader import Replay
 from deformscope.rows import ENTITIES
 from deformscope.stages.msm.state_sweep import StateSweeps
 
-PICTURES = (application.IMAGES, application.FLOW, application.PAIR, application.PAIR_3D, application.FINDINGS)
+PICTURES = (layout.IMAGES, layout.FLOW, layout.PAIR, layout.PAIR_3D, layout.FINDINGS)
 LIVE_MS = 1000.0
 """A stage is live if the median delay of its results behind the newest frame is below this [ms]."""
 
@@ -62,7 +62,7 @@ def registries() -> dict[str, Views[Any]]:
         EXPLORATION.name: exploration_views(0, None, CELL_M),
         SQUEEZE.name: squeeze_views(None),
         RIG.name: STAGE_VIEWS,
-        application.FINDINGS.variant("shapes").name: {StateSweeps: over[StateSweeps]},
+        layout.FINDINGS.variant("shapes").name: {StateSweeps: over[StateSweeps]},
         **{one.name: {kind: over[kind] for kind in OF_APPLICATION[one.over_picture]} for one in PICTURES},
     }
 

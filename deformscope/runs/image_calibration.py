@@ -19,7 +19,7 @@ from deformscope.experiments.fit.whole_motion import whole_motion
 from deformscope.files.sources import DEFAULT_FPS, Source, alike
 from deformscope.frames import ColorFrame, InputFile
 from deformscope.images import encode_png
-from deformscope.log.application import IMAGES
+from deformscope.log.layout import IMAGES
 from deformscope.pictures.evidence import Result
 from deformscope.recording.recorder import Recorder
 from deformscope.runs.calibration_result import CalibrationResult

@@ -21,7 +21,7 @@ from deformscope.imports.inspect import inspect, propose
 from deformscope.imports.mesh_take import read_take
 from deformscope.imports.readers import open_reader
 from deformscope.imports.source import ImportSource
-from deformscope.log.rig_layout import RIG, RigLayout
+from deformscope.log.layout import RIG, RigLayout
 from deformscope.pictures.report import Table
 from deformscope.plain import plain
 from deformscope.recording.losses import losses_of

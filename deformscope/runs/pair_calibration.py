@@ -16,7 +16,7 @@ from deformscope.experiments.fit.pair_files import pair_files
 from deformscope.experiments.fit.poke_files import LayersOptions, poke_files
 from deformscope.files.pairs import parse_pair
 from deformscope.frames import InputFile
-from deformscope.log.application import PAIR, PAIR_3D
+from deformscope.log.layout import PAIR, PAIR_3D
 from deformscope.pictures.evidence import Result
 from deformscope.recording.reader import Replay
 from deformscope.recording.recorder import Recorder

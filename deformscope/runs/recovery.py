@@ -34,7 +34,13 @@ def recover_recording(path: Path, out: Path | None = None) -> FoundResult:
         if facts.damage or not facts.counts:
             came = "; ".join([facts.damage or "none of it", *before["problems"]])
             raise InputError("a recording with readable parts", came, where=path)
-        _write_ending(ending, facts, path)
+        # data that the run could not write at its end
+        write_outcome(
+            ending,
+            facts.application,
+            facts.recording,
+            {"complete": False, "recovered": path.name, "losses": facts.losses, "counts": facts.counts},
+        )
         if refused := run_rrd("merge", readable, ending, "-o", whole):
             raise InputError("a recording that can be completed", refused, where=path)
         with whole.open("rb") as file:
@@ -67,16 +73,6 @@ def _check(path: Path, out: Path) -> Mapping[str, Any]:
 def _refuse_existing(out: Path) -> None:
     if out.exists() or out.is_symlink():
         raise InputError("a new file to write", "one that exists", "--out FILE.rrd", out)
-
-
-def _write_ending(ending: Path, facts: Facts, path: Path) -> None:
-    """Data that the run could not write at its end."""
-    write_outcome(
-        ending,
-        facts.application,
-        facts.recording,
-        {"complete": False, "recovered": path.name, "losses": facts.losses, "counts": facts.counts},
-    )
 
 
 def _report(

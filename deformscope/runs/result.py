@@ -16,7 +16,7 @@ from deformscope.results.render import Rows
 
 if TYPE_CHECKING:
     from deformscope.config.options import ViewOptions
-    from deformscope.log.application import Application
+    from deformscope.log.layout import Application
     from deformscope.recording.recorder import Recorder, RecordingSummary
 
 ViewerChoice = Literal["auto", "native", "page", "none"]

@@ -20,7 +20,7 @@ from deformscope.file_io import new_recording
 from deformscope.frames import HealthReport, Item, StageResult, Stream
 from deformscope.interruption import Interruption, until_interrupted
 from deformscope.lab.rig_members import members_of
-from deformscope.log.rig_layout import RIG, RigLayout
+from deformscope.log.layout import RIG, RigLayout
 from deformscope.page.devices import remark_of
 from deformscope.page.recorder import PageRecorder
 from deformscope.pictures.report import Table

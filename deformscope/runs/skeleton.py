@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NoReturn, Protocol, TypeVar
 
 from deformscope.errors import InputError
-from deformscope.log.rig_layout import RigLayout
+from deformscope.log.layout import RigLayout
 from deformscope.page.devices import ShownDevices, WatchedDevices
 from deformscope.runs.operator import RunOperator
 from deformscope.session import finish

@@ -318,7 +318,7 @@ def test_a_second_ctrl_c_leaves_at_once(bench: FakeBench, tmp_path: Path, capsys
 def test_terminal_json_panel_and_map_file_give_the_same_numbers(
     bench: FakeBench, tmp_path: Path, capsys: Capture
 ) -> None:
-    from deformscope.log.exploration.summary import summary
+    from deformscope.log.exploration.display import summary
     from deformscope.pictures.exploration import _headline
     from deformscope.stages.map.exploration import MapEstimate
 

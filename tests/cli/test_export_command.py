@@ -15,7 +15,7 @@ from deformscope.cli import main
 from deformscope.files.sources import open_source
 from deformscope.frames import ColorFrame, DepthFrame, Item
 from deformscope.images import encode_jpeg
-from deformscope.log.rig_layout import RIG, RigLayout
+from deformscope.log.layout import RIG, RigLayout
 from deformscope.recording.items import read_items
 from deformscope.recording.recorder import Recorder
 from deformscope_drivers.clock import Stamp

@@ -15,7 +15,7 @@ import pytest
 from deformscope.cli import main
 from deformscope.errors import InputError
 from deformscope.frames import ColorFrame, InputFile, Stream
-from deformscope.log.rig_layout import RIG, RigLayout
+from deformscope.log.layout import RIG, RigLayout
 from deformscope.recording import facts as recording_facts
 from deformscope.recording.ledger import LedgerWriter, check_recording, ledger_path, read_ledger, write_ledger
 from deformscope.recording.reader import Replay

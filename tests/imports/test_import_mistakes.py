@@ -16,7 +16,7 @@ import pytest
 
 from deformscope.frames import ArmFrame, DepthFrame
 from deformscope.imports.readers import open_reader
-from deformscope.log.rig_layout import RIG, RigLayout
+from deformscope.log.layout import RIG, RigLayout
 from deformscope.recording.recorder import Recorder
 from tests.cases import Capture, Patch
 from tests.imports.test_captures_and_files import imported, refused

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from deformscope.cli import main
 from deformscope.frames import ArmFrame, ColorFrame, DepthFrame, Frame, WrenchFrame
-from deformscope.log.rig_layout import RIG, RigLayout
+from deformscope.log.layout import RIG, RigLayout
 from deformscope.recording.export.export import ExportRequest, export
 from deformscope.recording.items import read_items, read_streams
 from deformscope.recording.reader import Replay

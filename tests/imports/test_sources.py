@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from deformscope.cli import main
-from deformscope.log.rig_layout import RIG, RigLayout
+from deformscope.log.layout import RIG, RigLayout
 from deformscope.recording.ledger import ledger_path
 from deformscope.recording.recorder import Recorder
 from tests.imports.test_bad_bags import MAP, OTHER, steady, write_bag

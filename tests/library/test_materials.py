@@ -7,7 +7,7 @@ import pytest
 
 from deformscope.errors import InputError
 from deformscope.frames import Stream, WrenchFrame
-from deformscope.log.rig_layout import RIG, RigLayout
+from deformscope.log.layout import RIG, RigLayout
 from deformscope.recording.reader import Replay
 from deformscope.recording.recorder import Recorder
 from deformscope.runs.materials import kept_force, recorded_force

@@ -17,7 +17,7 @@ import numpy as np
 from deformscope.arrays import FloatArray
 from deformscope.experiments.commanded_robot import without_long_pauses
 from deformscope.frames import Item
-from deformscope.log.rig_layout import RIG, RigLayout
+from deformscope.log.layout import RIG, RigLayout
 from deformscope.recording import recorder, rrd_file
 from deformscope.robot.readings import PERIOD_NS
 from deformscope_drivers.priority import STEERING, be_prompt

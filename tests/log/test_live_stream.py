@@ -26,6 +26,7 @@ from deformscope.frames import (
     WrenchFrame,
 )
 from deformscope.log.exploration.layout import EXPLORATION, ExplorationLayout
+from deformscope.log.layout import RIG, RigLayout
 from deformscope.log.live_stream import LiveStream
 from deformscope.log.rig import Place
 from deformscope.log.rig.thinned import (
@@ -38,7 +39,6 @@ from deformscope.log.rig.thinned import (
     extremes,
     thinned,
 )
-from deformscope.log.rig_layout import RIG, RigLayout
 from deformscope.recording import outputs
 from deformscope.recording.live import Viewer
 from deformscope.recording.recorder import Recorder

@@ -11,7 +11,7 @@ from rerun.chunk import Chunk
 
 from deformscope.frames import Pad, Stream
 from deformscope.log.squeeze.blueprint import squeeze_blueprint
-from deformscope.log.squeeze.fingertips import Fingertips
+from deformscope.log.squeeze.display import Fingertips
 from deformscope.log.squeeze.layout import SQUEEZE, SqueezeLayout
 from deformscope.log.squeeze.results import prepare_squeeze_results
 from deformscope.pictures.depth_change import depth_change_png

@@ -15,7 +15,7 @@ from deformscope.cli import main
 from deformscope.experiments.live.first_contact import first_contact_ns
 from deformscope.frames import SessionNote, Stream, TactileFrame, WrenchFrame
 from deformscope.log.exploration.compare import comparison_rrd
-from deformscope.log.rig_layout import RIG, RigLayout
+from deformscope.log.layout import RIG, RigLayout
 from deformscope.page.aligned import align_on_page
 from deformscope.page.server.messages import Playback
 from deformscope.page.server.page_server import PageServer, end_pages

@@ -9,7 +9,7 @@ import pytest
 from deformscope import open_recording
 from deformscope.cli import main
 from deformscope.frames import NoteKind, SessionNote
-from deformscope.log.rig_layout import RIG, RigLayout
+from deformscope.log.layout import RIG, RigLayout
 from deformscope.recording.discards import discards_of
 from deformscope.recording.ledger import LedgerWriter, check_recording, ledger_path
 from deformscope.recording.recorder import Recorder

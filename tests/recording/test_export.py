@@ -24,7 +24,7 @@ import pytest
 import deformscope as ds
 from deformscope.cli import main
 from deformscope.frames import ArmFrame, HandFrame, HealthReport, Item, SessionNote, TactileFrame, WrenchFrame
-from deformscope.log.rig_layout import RIG, RigLayout
+from deformscope.log.layout import RIG, RigLayout
 from deformscope.recording.export.export import ExportRequest, _draft, export
 from deformscope.recording.facts import run_rrd
 from deformscope.recording.items import read_items, read_results

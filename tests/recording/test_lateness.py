@@ -16,7 +16,7 @@ import rerun as rr
 from deformscope.cli import main
 from deformscope.frames import ColorFrame, DepthFrame, Item
 from deformscope.log import rig as rig_log
-from deformscope.log.rig_layout import RIG, RigLayout
+from deformscope.log.layout import RIG, RigLayout
 from deformscope.recording import recorder
 from deformscope.recording.lateness import FREE_BYTES, RecordingError, writes_are_held_up
 from deformscope.recording.recent import WatchedRecorder

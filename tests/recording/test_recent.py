@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from deformscope.frames import HealthReport, Item, Stream, WrenchFrame
-from deformscope.log.rig_layout import RIG
+from deformscope.log.layout import RIG
 from deformscope.recording.recent import RecentItems, end_with_recent
 from deformscope.recording.recorder import Recorder
 from deformscope.runs.recordings import OpenRecording

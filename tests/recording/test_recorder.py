@@ -23,7 +23,7 @@ from deformscope.cli import main
 from deformscope.errors import InputError
 from deformscope.frames import ColorFrame, DepthFrame, HandFrame, InputFile, Item, RawBytes, host_ns
 from deformscope.images import encode_png
-from deformscope.log.rig_layout import RIG, RigLayout
+from deformscope.log.layout import RIG, RigLayout
 from deformscope.page.server.page_server import end_pages
 from deformscope.page.server.viewer_files import viewer_environment, viewer_executable
 from deformscope.recording import facts, lateness, outputs, recorder
@@ -422,7 +422,7 @@ def test_devices_killed_outright(tmp_path: Path) -> None:
     code = """
         import os, signal, sys, time
         from pathlib import Path
-        from deformscope.log.rig_layout import RIG, RigLayout
+        from deformscope.log.layout import RIG, RigLayout
         from deformscope.recording.recorder import Recorder
         from tests.log import synthetic_rig as rig
         from tests.recording.test_recorder import without_images

@@ -15,7 +15,7 @@ import pytest
 
 from deformscope.cli import main
 from deformscope.frames import ColorFrame, RawBytes, Stream, WrenchFrame
-from deformscope.log.rig_layout import RIG, RigLayout
+from deformscope.log.layout import RIG, RigLayout
 from deformscope.recording.facts import Facts, gather_facts
 from deformscope.recording.ledger import check_recording, ledger_path, read_discards, read_ledger
 from deformscope.recording.reader import Replay

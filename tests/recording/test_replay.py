@@ -13,7 +13,7 @@ from deformscope.errors import InputError
 from deformscope.files.sources import open_source
 from deformscope.frames import ColorFrame, InputFile
 from deformscope.images import encode_png
-from deformscope.log.application import PAIR
+from deformscope.log.layout import PAIR
 from deformscope.recording.items import read_estimates
 from deformscope.recording.ledger import ledger_path, write_ledger
 from deformscope.recording.reader import Replay

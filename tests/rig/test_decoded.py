@@ -21,8 +21,8 @@ from deformscope.frames import (
     WrenchFrame,
     host_ns,
 )
-from deformscope.log.rig_layout import RIG as RIG_APPLICATION
-from deformscope.log.rig_layout import RigLayout
+from deformscope.log.layout import RIG as RIG_APPLICATION
+from deformscope.log.layout import RigLayout
 from deformscope.recording.recorder import Recorder
 from deformscope.rig.decoded import compare_with_bytes
 from deformscope.rig.driver_table import DRIVERS

@@ -299,7 +299,10 @@ class Explorer:
         )
         first = options.first_place(self.grid.size_m, self.search)
         if first is not None and not self.touches and not self._left_out:
-            self._check_reached(first[0], reachable)
+            xy_m = first[0]
+            cell = int(np.argmin(np.linalg.norm(self.grid.centres_m - xy_m, axis=1)))
+            if reachable is not None and not reachable.ravel()[cell]:
+                raise InputError("--first at a place that the tip can reach", f"{xy_m[0]:g},{xy_m[1]:g}", "another one")
             plan = dataclasses.replace(plan, target_m=first[0], reason=first[1], stop=None)
         enough = plan.stop is not None and not (options.go_on and touches < options.budget)
         return PlannedTouch(
@@ -312,12 +315,6 @@ class Explorer:
             missed=plan.missed,
             gain_unit=plan.unit,
         )
-
-    def _check_reached(self, xy_m: FloatArray, reachable: BoolArray | None) -> None:
-        """Raises InputError where the arm does not reach a place (2,) [m]."""
-        cell = int(np.argmin(np.linalg.norm(self.grid.centres_m - xy_m, axis=1)))
-        if reachable is not None and not reachable.ravel()[cell]:
-            raise InputError("--first at a place that the tip can reach", f"{xy_m[0]:g},{xy_m[1]:g}", "another one")
 
     def approach(self, xy_m: FloatArray, geometry: Geometry) -> Touch | None:
         """The planned touch of a place (2,) [m]; None if it cannot be planned."""

@@ -70,8 +70,16 @@ def fit_contact(
         ends = stiffness * low / fit.stiffness_n_per_mm, stiffness * high / fit.stiffness_n_per_mm
         radius_m = options.tip_radius_m
         modulus = modulus_of(surface.layer, stiffness, ends, force_n=force, radius_m=radius_m, dent_m=dent_m)
+    # speed of the tip from contact to the peak of the force
+    along = _along(touched)
+    until = int(np.argmax(_force_along(touched)))
+    since = min(int(np.searchsorted(np.maximum.accumulate(along), fit.contact_m)), max(until - 1, 0))
+    taken_s = float(touched.time_s[until] - touched.time_s[since])
     return TouchContact(
-        fit=fit, law_n=fitted_law(fit, arm, _along(touched)), modulus=modulus, speed_m_s=_speed_m_s(touched, fit)
+        fit=fit,
+        law_n=fitted_law(fit, arm, along),
+        modulus=modulus,
+        speed_m_s=float(along[until] - along[since]) / taken_s if taken_s > 0.0 else None,
     )
 
 
@@ -156,15 +164,6 @@ def off_seen_m(touched: TouchMeasurement, estimate: TouchEstimate, tip_radius_m:
         return float("inf")
     began_m = float((touched.position_m[0] - estimate.xyz_m) @ estimate.normal)
     return abs(began_m - estimate.contact_m - tip_radius_m)
-
-
-def _speed_m_s(touched: TouchMeasurement, fit: ContactFit) -> float | None:
-    """Speed of the tip from contact to the peak of the force [m/s]."""
-    along, force = _along(touched), _force_along(touched)
-    until = int(np.argmax(force))
-    since = min(int(np.searchsorted(np.maximum.accumulate(along), fit.contact_m)), max(until - 1, 0))
-    taken_s = float(touched.time_s[until] - touched.time_s[since])
-    return float(along[until] - along[since]) / taken_s if taken_s > 0.0 else None
 
 
 def _along(touched: TouchMeasurement) -> FloatArray:

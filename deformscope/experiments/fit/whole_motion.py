@@ -181,7 +181,14 @@ def select(
     if not asked:
         return Selection(_ways(motion, particles, fit.model, ())[0], (), "")
     ways = _ways(motion, particles, fit.model, asked)
-    judged = _judges(motion, ways)
+    # (K,) particles that are free with every held set: else holding more would always win
+    judged: BoolArray = ~np.any([held_mask(len(motion.grid.rest_px), way.held) for way in ways], axis=0)
+    if np.count_nonzero(judged & motion.history[-1].seen) < JUDGES_LEAST:
+        raise InputError(
+            f"{JUDGES_LEAST} particles that are free with all held parts, for the comparison",
+            str(np.count_nonzero(judged & motion.history[-1].seen)),
+            "a finer --grid, or --select without held",
+        )
     static = [choice for choice in ("cluster-size", "held") if choice in asked]
     tried = _try(motion, particles, fit, ways, judged, "selecting", progress)
     best = _best(tried)
@@ -226,18 +233,6 @@ def _ways(motion: TrackedMotion, particles: ParticleOptions, model: Model, choic
         some = [dataclasses.replace(model, cluster_size=size) for size in sizes]
         ways += [Way(one, parts, held, tuple(moved)) for one in some]
     return ways
-
-
-def _judges(motion: TrackedMotion, ways: Sequence[Way]) -> BoolArray:
-    """(K,) particles that are free with every held set: else holding more would always win."""
-    judged: BoolArray = ~np.any([held_mask(len(motion.grid.rest_px), way.held) for way in ways], axis=0)
-    if np.count_nonzero(judged & motion.history[-1].seen) < JUDGES_LEAST:
-        raise InputError(
-            f"{JUDGES_LEAST} particles that are free with all held parts, for the comparison",
-            str(np.count_nonzero(judged & motion.history[-1].seen)),
-            "a finer --grid, or --select without held",
-        )
-    return judged
 
 
 def _moving_ways(motion: TrackedMotion, model: Model, still: Way, choices: Sequence[Selectable]) -> list[Way]:

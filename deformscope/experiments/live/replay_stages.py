@@ -78,11 +78,8 @@ def _with_frames(path: Path, results: Sequence[StageResult]) -> Iterator[tuple[S
             for key in [key for key in keys if needed[key] == 0]:
                 held.pop(key, None)
     if ending:
-        raise _missing(next(iter(ending)), path)
-
-
-def _missing(key: Key, path: Path) -> InputError:
-    return InputError("every frame that a result needs", f"no frame {key[1]} of {key[0]}", where=path)
+        key = next(iter(ending))
+        raise InputError("every frame that a result needs", f"no frame {key[1]} of {key[0]}", where=path)
 
 
 def _keys(one: StageResult) -> list[Key]:

@@ -321,7 +321,13 @@ def view_board(
         way = "hold the board so that the camera sees all of it" if not poses else next_pose(np.array(poses))[1]
         pose = yield from _held(operator, SetupRequest("view", number, way), arm, note)
         frames = yield from _frames(0.0, {camera: ColorFrame | DepthFrame})  # type: ignore[dict-item]
-        image = _colour(frames[camera][-1])
+        frame = frames[camera][-1]
+        image = frame.image if isinstance(frame, ColorFrame) else frame.color if isinstance(frame, DepthFrame) else None
+        if image is None:
+            raise InputError(
+                "a camera with colour images", "depth alone", "colour = true, or --measured with touched places"
+            )
+        image = np.asarray(image, np.uint8)
         found = find_board(image, board)
         if found is None:
             note("  the camera did not find the board in this view")
@@ -337,12 +343,3 @@ def view_board(
     if len(seen) >= count:
         check_turns(np.array(poses))
     raise InputError(f"{count} views of the board", f"{len(seen)}", "more light, the board flat and whole in view")
-
-
-def _colour(frame: Frame) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
-    image = frame.image if isinstance(frame, ColorFrame) else frame.color if isinstance(frame, DepthFrame) else None
-    if image is None:
-        raise InputError(
-            "a camera with colour images", "depth alone", "colour = true, or --measured with touched places"
-        )
-    return np.asarray(image, np.uint8)

@@ -224,19 +224,16 @@ class PlacingArm:
             robot = self._made
             if robot is not None and robot.may_move and robot.supervisor.verdict.action is Action.BACK_OFF:
                 verdict = robot.supervisor.verdict
-                self._back_off(robot)
+                # back along the hand, away from the contact
+                self._begin("back off")
+                back = -robot.placement.T_surface_center(robot.pose.T_base_ee)[:3, 2] * APPROACH_M_S
+                with contextlib.suppress(RobotStopped):
+                    for _ in range(round(100 * BACK_M / APPROACH_M_S)):
+                        robot.cycle(TipVelocity(back))
                 raise self._stopped_by(verdict) from error
             kind = "arm did not come there" if isinstance(error, NotThere) else "arm did not move"
             cause = Fault.LINK if isinstance(error, DeviceError) else Fault.WORKSPACE
             raise self._stop(kind, " ".join(str(error).split()), cause) from error
-
-    def _back_off(self, robot: Robot) -> None:
-        """Back along the hand, away from the contact."""
-        self._begin("back off")
-        back = -robot.placement.T_surface_center(robot.pose.T_base_ee)[:3, 2] * APPROACH_M_S
-        with contextlib.suppress(RobotStopped):
-            for _ in range(round(100 * BACK_M / APPROACH_M_S)):
-                robot.cycle(TipVelocity(back))
 
     def _stopped_by(self, verdict: SafetyDecision) -> SqueezeEnded:
         return self._stop(str(verdict.fault), verdict.reason, verdict.fault, verdict.time_ns)

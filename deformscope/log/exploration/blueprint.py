@@ -9,11 +9,20 @@ import rerun.blueprint as rrb
 
 from deformscope.frames import Stream
 from deformscope.log.exploration.dent import DENT
-from deformscope.log.exploration.display import FORCE, GAIN, HEIGHT, INCLUSIONS_SUMMARY, LUMPS, MAPS, MISSED, SECTION
+from deformscope.log.exploration.display import (
+    FORCE,
+    GAIN,
+    HEIGHT,
+    INCLUSIONS_SUMMARY,
+    LUMPS,
+    MAPS,
+    MISSED,
+    SECTION,
+    SUMMARY,
+)
 from deformscope.log.exploration.perception import ERROR, PIXELS, TOUCH, UNDER
 from deformscope.log.exploration.perception import MAPS as FIELD_MAPS
 from deformscope.log.exploration.scene import SCENE, SURFACE_FRAME
-from deformscope.log.exploration.summary import SUMMARY
 from deformscope.log.rig.blueprint import FLOOR, LEGEND, blueprint_of, depth_view, named
 from deformscope.log.rig.columns import root
 from deformscope.log.rig.numbers import plotted
@@ -146,12 +155,13 @@ def _scene(
     streams: Sequence[Stream], size_m: tuple[float, float], what: str = f"{SCENE}/**", name: str = ""
 ) -> rrb.View:
     """Seen from the front, above and to the side, near enough that surface and arm fit."""
+    simulated = " (SIMULATED)"
     arms = [stream for stream in streams if stream.kind == "arm" and stream.urdf is not None]
     x, y = size_m
     wide = max(x, y)
     return rrb.Spatial3DView(
         contents=[f"+ /{what}", *(f"+ /{root('display/arm', arm.device)}/**" for arm in arms)],
-        name=name or f"Surface{''.join(f' and {arm.device}{_simulated(arm)}' for arm in arms)}",
+        name=name or f"Surface{''.join(f' and {arm.device}{simulated * arm.simulated}' for arm in arms)}",
         spatial_information=rrb.SpatialInformation(target_frame=SURFACE_FRAME),
         eye_controls=rrb.EyeControls3D(
             kind=rrb.Eye3DKind.Orbital,
@@ -178,7 +188,3 @@ def _dent() -> rrb.View:
 
 def _picture(path: str, name: str) -> rrb.View:
     return rrb.Spatial2DView(contents=[f"+ /{path}"], name=name, background=PAPER)
-
-
-def _simulated(stream: Stream) -> str:
-    return " (SIMULATED)" if stream.simulated else ""

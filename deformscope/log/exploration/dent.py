@@ -46,10 +46,6 @@ def log_dent(now: ResultBatch, touch: TouchEstimate) -> None:
     now.show_points(f"{DENT}/scale/label", middle[None], TEXT, 0.002, [f"{bar_m * 100:g} cm{drawn}"])
 
 
-def log_no_dent(now: ResultBatch) -> None:
-    now.show_points(f"{DENT}/scale/label", np.zeros((1, 3)), TEXT, 0.002, ["no touch yet"])
-
-
 def _near(points: FloatArray) -> FloatArray:
     """The shown part of points (n, 3) relative to the contact [m]: within `HALF_M` along x and y."""
     return points[(np.abs(points[:, :2]) <= HALF_M + 1e-6).all(axis=1)]

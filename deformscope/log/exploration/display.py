@@ -2,27 +2,17 @@
 
 from __future__ import annotations
 
+import numpy as np
 import rerun as rr
 
-from deformscope.arrays import FloatArray
 from deformscope.log.exploration.perception import log_on_surface
 from deformscope.log.result_batch import ResultBatch
-from deformscope.log.rig.columns import Sink, states
 from deformscope.pictures import exploration as pictures
-from deformscope.pictures.messages import counted, format_failure, format_inclusions
+from deformscope.pictures import messages
 from deformscope.pictures.palette import BAD, Rgb
 from deformscope.pictures.render_process import render
 from deformscope.rows import ENTITIES
-from deformscope.stages.map.exploration import (
-    ExplorationStop,
-    InclusionsResult,
-    MapEstimate,
-    PhaseStart,
-    PlannedTouch,
-    StageFailure,
-    SurfaceEstimate,
-    TouchEstimate,
-)
+from deformscope.stages.map.exploration import InclusionsResult, MapEstimate, StageFailure
 
 HEIGHT, GAIN = "display/surface/height", "display/plan/gain"
 FORCE, SECTION = "display/touch/force", "display/touch/section"
@@ -47,16 +37,6 @@ PHASES: dict[str, Rgb] = {
 """States of the robot, each with its colour."""
 
 
-def log_nothing_known(now: ResultBatch) -> None:
-    """Log texts in place of pictures that do not exist yet."""
-    for path, words in {**dict.fromkeys([*MAPS, FORCE, SECTION], "no touch yet"), GAIN: "no plan yet"}.items():
-        now.show_png(path, pictures.text_png, words)
-
-
-def log_height(now: ResultBatch, surface: SurfaceEstimate) -> None:
-    now.show_png(HEIGHT, pictures.height_png, surface)
-
-
 def log_maps(now: ResultBatch, maps: MapEstimate) -> None:
     for path, quantity in MAPS.items():
         drawn = render(pictures.draw_map, quantity, maps)
@@ -69,31 +49,42 @@ def log_inclusions(now: ResultBatch, found: InclusionsResult) -> None:
     now.show_png(LUMPS, pictures.inclusions_png, found)
     now.show_png(MISSED, pictures.miss_probability_png, found)
     text = "\n\n".join(f"**{name}**: {words}" for name, words in found.rows)
-    title = f"# {format_inclusions(found)} after {counted(len(found.contacts_m), 'touch')}"
+    title = f"# {messages.format_inclusions(found)} after {messages.counted(len(found.contacts_m), 'touch')}"
     now.show_text(INCLUSIONS_SUMMARY, f"{title}\n\n{text}")
-
-
-def log_gain(now: ResultBatch, plan: PlannedTouch, cell_m: float, contacts_m: FloatArray | None) -> None:
-    now.show_png(GAIN, pictures.gain_png, plan, cell_m, contacts_m)
-
-
-def log_curves(now: ResultBatch, touch: TouchEstimate) -> None:
-    now.show_png(FORCE, pictures.force_png, touch)
-    now.show_png(SECTION, pictures.section_png, touch)
-
-
-def log_phase_colors(rec: Sink) -> None:
-    rec.log(ENTITIES[PhaseStart], states(PHASES), static=True)
-
-
-def log_phase(now: ResultBatch, phase: PhaseStart) -> None:
-    now.show_phase(phase, PHASES)
 
 
 def log_failed(now: ResultBatch, failed: StageFailure) -> None:
     """Failures on a touch, with their place in the code."""
-    now.show_words(ENTITIES[StageFailure], f"{format_failure(failed)}\n{failed.trace}".strip(), "ERROR")
+    now.show_words(ENTITIES[StageFailure], f"{messages.format_failure(failed)}\n{failed.trace}".strip(), "ERROR")
 
 
-def log_stopped(now: ResultBatch, stop: ExplorationStop) -> None:
-    now.show_words(ENTITIES[ExplorationStop], f"{stop.kind}: {stop.reason}", "ERROR")
+SUMMARY = "display/summary"
+SURE = 0.9
+
+
+def log_summary(now: ResultBatch, maps: MapEstimate) -> None:
+    now.show_text(SUMMARY, summary(maps))
+
+
+def summary(maps: MapEstimate) -> str:
+    """Markdown: the verdict first, then the regions and the numbers."""
+    verdict = messages.format_verdict(maps)
+    scored = f"; **{messages.format_iou(maps)}**" if maps.iou is not None else ""
+    lines = [
+        f"# {verdict[0].upper()}{verdict[1:]} ({messages.format_claim(maps.claimed)})",
+        "",
+        f"after **{messages.counted(maps.touches, 'touch')}**, {messages.format_travel(maps.travel_m)}",
+        "",
+        f"{100 * float(np.mean(maps.label_probability > SURE)):.0f} % of the cells are sure (p > {SURE:g}){scored}",
+        "",
+    ]
+    if not maps.region_count:
+        return "\n".join(lines)
+    if maps.levelled_m is not None:
+        lines += [f"stiffness {messages.stiffness_kind(maps)}", ""]
+    lines += ["| region | stiffness [N/mm] | area [cm²] |", "| --- | --- | --- |"]
+    for label, region in enumerate(maps.regions):
+        area_cm2 = (maps.labels == label).sum() * (100 * maps.cell_m) ** 2
+        level = region.level_text + (f" ({region.modulus_text})" if region.modulus_text else "")
+        lines.append(f"| {label + 1} | {level} | {area_cm2:.0f} |")
+    return "\n".join(lines)

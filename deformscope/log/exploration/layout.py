@@ -7,15 +7,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from deformscope.arrays import FloatArray
-from deformscope.log.application import Application
-from deformscope.log.layout import RecordingLayout
+from deformscope.log.layout import Application, RecordingLayout
 from deformscope.stages.map.exploration import PlannedTouch
 
 if TYPE_CHECKING:
     import rerun as rr
-
-    from deformscope.log.rig.columns import Batch, Place
-    from deformscope.stages.map.exploration import StageFailure
 
 EXPLORATION = Application("deformscope-exploration", devices=True, robot_moves=True)
 
@@ -49,13 +45,6 @@ class ExplorationLayout(RecordingLayout):
 
         log_exploration_start(rec, self.streams, self.base_from_surface)
         log_frames(rec, self.base_from_surface, self.T_surface_camera)
-
-    def prepare(
-        self, results: Sequence[object], session_ns: int, place: Place, cell_m: float, failed: list[StageFailure]
-    ) -> Batch:
-        from deformscope.log.exploration.results import prepare_results
-
-        return prepare_results(results, session_ns, place, cell_m=cell_m, failed=failed)
 
     def touch_after(self, results: Sequence[object], touch: int) -> int:
         """Device items after the plan of a touch belong to that touch."""

@@ -63,12 +63,6 @@ def log_frames(
     log_series(rec, SERIES[ForcePose], NAMES, (*AXES, *JOINTS[:6]))
 
 
-def log_no_touch(now: ResultBatch) -> None:
-    """Log a placeholder in the view of the surface under a touch, before any touch."""
-    now.show(f"{FRAMES}/{TOUCH}", rr.Transform3D(parent_frame="surface", child_frame=TOUCH))
-    now.show_png(ERROR, pictures.text_png, "no touch yet")
-
-
 def log_pixels(now: ResultBatch, perception: LookPerception | TouchPerception) -> None:
     """Log the labels of the last image; the others are in the result."""
     if perception.masks is not None:

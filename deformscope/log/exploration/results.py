@@ -30,33 +30,25 @@ import rerun as rr
 
 from deformscope.arrays import FloatArray
 from deformscope.frames import Stream
-from deformscope.log.exploration.dent import log_dent, log_no_dent
-from deformscope.log.exploration.display import (
-    log_curves,
-    log_failed,
-    log_gain,
-    log_height,
-    log_inclusions,
-    log_maps,
-    log_nothing_known,
-    log_phase,
-    log_phase_colors,
-    log_stopped,
+from deformscope.log.canvas import TEXT
+from deformscope.log.exploration import display, scene
+from deformscope.log.exploration.dent import DENT as DENT_VIEW
+from deformscope.log.exploration.dent import log_dent
+from deformscope.log.exploration.perception import (
+    ERROR,
+    FRAMES,
+    TOUCH,
+    log_ground,
+    log_pixels,
+    log_tool,
+    log_under_touch,
 )
-from deformscope.log.exploration.perception import log_ground, log_no_touch, log_pixels, log_tool, log_under_touch
-from deformscope.log.exploration.scene import (
-    log_base,
-    log_contact,
-    log_forecast,
-    log_stiffness,
-    log_surface,
-    log_target,
-)
-from deformscope.log.exploration.summary import SUMMARY, log_summary
-from deformscope.log.result_batch import ResultBatch
-from deformscope.log.rig.columns import Batch, Place
+from deformscope.log.result_batch import ResultBatch, png_view
+from deformscope.log.rig.columns import Batch, Place, states
 from deformscope.log.rig.numbers import plotted
 from deformscope.log.views import SOMETIMES, ShownStage, Views, views_of
+from deformscope.pictures import exploration as pictures
+from deformscope.rows import ENTITIES
 from deformscope.stages.map.exploration import (
     DISPLAY,
     ExplorationStop,
@@ -122,19 +114,21 @@ def log_exploration_start(
     start.
 
     base_from_surface: (4, 4), takes positions from the surface frame to the arm's base frame [m]; None = the same"""
-    log_phase_colors(rec)
+    rec.log(ENTITIES[PhaseStart], states(display.PHASES), static=True)
     for stream in streams:
         if stream.kind == "wrench":
             for path, _ in plotted(stream):  # averages of a whole touch would hide its peak
                 rec.log(path, rr.SeriesLines.from_fields(aggregation_policy=PEAKS), static=True)
         if stream.kind == "arm" and stream.urdf is not None:
-            log_base(rec, stream, np.eye(4) if base_from_surface is None else base_from_surface)
+            scene.log_base(rec, stream, np.eye(4) if base_from_surface is None else base_from_surface)
     batch = Batch(Place(0, np.zeros(0, np.int64)))
     start = ResultBatch(batch, 0)
-    log_nothing_known(start)
-    log_no_dent(start)
-    start.show_text(SUMMARY, "# No touch yet")
-    log_no_touch(start)
+    for path in (*display.MAPS, display.FORCE, display.SECTION, ERROR):
+        start.show_png(path, pictures.text_png, "no touch yet")
+    start.show_png(display.GAIN, pictures.text_png, "no plan yet")
+    start.show_points(f"{DENT_VIEW}/scale/label", np.zeros((1, 3)), TEXT, 0.002, ["no touch yet"])
+    start.show_text(display.SUMMARY, "# No touch yet")
+    start.show(f"{FRAMES}/{TOUCH}", rr.Transform3D(parent_frame="surface", child_frame=TOUCH))
     batch.send(rec)
 
 
@@ -165,7 +159,7 @@ def prepare_results(
             except Exception as error:  # a picture that cannot be drawn must not end what is drawn
                 found = StageFailure.of(DISPLAY, place.touch, error)
                 now.record(found)
-                log_failed(now, found)
+                display.log_failed(now, found)
                 if failed is not None:
                     failed.append(found)
     return batch
@@ -174,20 +168,20 @@ def prepare_results(
 def exploration_views(touch: int, maps: MapEstimate | None, cell_m: float) -> Views[ResultBatch]:
     """The view of each result of a touch. maps: maps of the same moment; cell_m: cell size of a plan's maps where there
     are none"""
-    gain = partial(log_gain, cell_m=cell_m, contacts_m=None)
-    if maps is not None:
-        gain = partial(log_gain, cell_m=maps.cell_m, contacts_m=maps.contacts_m)
+    shown_with = (cell_m, None) if maps is None else (maps.cell_m, maps.contacts_m)
+    height = png_view(display.HEIGHT, pictures.height_png)
+    force, section = png_view(display.FORCE, pictures.force_png), png_view(display.SECTION, pictures.section_png)
     return {
-        SurfaceEstimate: (SURFACE, partial(log_surface, colored=touch == 0), log_height, log_ground),
-        TouchEstimate: (CONTACT, DENT, BETA, CREEP, log_contact, log_dent, log_curves, _log_no_forecast),
-        MapEstimate: (REGIONS, BETA_FIELD, log_stiffness, log_maps, log_summary),
-        InclusionsResult: (INCLUSIONS, log_inclusions),
-        PlannedTouch: (PLAN, log_target, gain),
-        TouchForecast: (AIM, log_forecast),
+        SurfaceEstimate: (SURFACE, partial(scene.log_surface, colored=touch == 0), height, log_ground),
+        TouchEstimate: (CONTACT, DENT, BETA, CREEP, scene.log_contact, log_dent, force, section, scene.log_no_forecast),
+        MapEstimate: (REGIONS, BETA_FIELD, scene.log_stiffness, display.log_maps, display.log_summary),
+        InclusionsResult: (INCLUSIONS, display.log_inclusions),
+        PlannedTouch: (PLAN, scene.log_target, png_view(display.GAIN, pictures.gain_png, *shown_with)),
+        TouchForecast: (AIM, scene.log_forecast),
         SteeringDecision: (DECISION, _log_decision),
-        PhaseStart: (PHASE, log_phase),
-        StageFailure: (FAILED, log_failed),
-        ExplorationStop: (STOPPED, log_stopped),
+        PhaseStart: (PHASE, partial(ResultBatch.show_phase, known=display.PHASES)),
+        StageFailure: (FAILED, display.log_failed),
+        ExplorationStop: (STOPPED, ResultBatch.show_stop),
         LookPerception: (PERCEPTION, log_pixels),
         TouchPerception: (PERCEPTION, TOUCH_SURFACE, BETA_ERROR, log_pixels, log_under_touch),
         ForcePose: (FORCE_POSE, log_tool),
@@ -195,11 +189,6 @@ def exploration_views(touch: int, maps: MapEstimate | None, cell_m: float) -> Vi
     }
 
 
-def _log_no_forecast(now: ResultBatch, result: object) -> None:
-    """No forecast is requested any more."""
-    log_forecast(now, None)
-
-
 def _log_decision(now: ResultBatch, decision: SteeringDecision) -> None:
     if decision.kind in ("veto", "held"):
-        log_forecast(now, None)
+        scene.log_no_forecast(now, decision)

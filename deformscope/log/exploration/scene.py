@@ -57,7 +57,10 @@ def log_surface(now: ResultBatch, surface: SurfaceEstimate, *, colored: bool) ->
     vertices = np.column_stack([places, surface.height_m.ravel()])
     share = (surface.height_m.ravel() - low) / max(high - low, 1e-9)
     tints = _colors(HEIGHTS, share) if colored else None
-    normals = _normals(surface)
+    # (n, 3) out of the surface, so that dents are shaded
+    down_y, down_x = np.gradient(surface.height_m, surface.cell_m)
+    normals = np.stack([-down_x, -down_y, np.ones_like(down_x)], axis=-1).reshape(-1, 3)
+    normals = np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True))
     mesh = rr.Mesh3D(vertex_positions=vertices, triangle_indices=triangles, vertex_normals=normals, vertex_colors=tints)
     now.show(f"{SCENE}/surface", mesh)
     rows, width = surface.height_m.shape
@@ -94,14 +97,15 @@ def log_target(now: ResultBatch, plan: PlannedTouch) -> None:
     now.show_points(f"{SCENE}/target/name", top[None], TEXT, 0.0005, ["next"])
 
 
-def log_forecast(now: ResultBatch, forecast: TouchForecast | None) -> None:
-    """Log the requested touch: its path down, an arrow with the length of its force, and the forecast; None = no
-    request."""
-    if forecast is None:
-        now.show(f"{ASKED}/way", rr.LineStrips3D([]))
-        now.show(f"{ASKED}/normal", rr.Arrows3D(vectors=[]))
-        now.show(f"{ASKED}/place", rr.Points3D([]))
-        return
+def log_no_forecast(now: ResultBatch, result: object) -> None:
+    """After this result no touch is requested any more."""
+    now.show(f"{ASKED}/way", rr.LineStrips3D([]))
+    now.show(f"{ASKED}/normal", rr.Arrows3D(vectors=[]))
+    now.show(f"{ASKED}/place", rr.Points3D([]))
+
+
+def log_forecast(now: ResultBatch, forecast: TouchForecast) -> None:
+    """Log the requested touch: its path down, an arrow with the length of its force, and the forecast."""
     low, high = forecast.stiffness_interval
     words = f"{forecast.set_force_n:g} N: {forecast.stiffness_n_per_mm:.2g} N/mm expected ({low:.2g} to {high:.2g})"
     now.show_lines(f"{ASKED}/way", forecast.way_m[None], ASKED_COLOR, LINE_M)
@@ -119,13 +123,6 @@ def grid_of(shape: tuple[int, ...], cell_m: float) -> tuple[FloatArray, IntArray
     a, b, c, d = (one.ravel() for one in (place[:-1, :-1], place[:-1, 1:], place[1:, 1:], place[1:, :-1]))
     triangles = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
     return np.stack([x, y], axis=-1).reshape(-1, 2), triangles
-
-
-def _normals(surface: SurfaceEstimate) -> FloatArray:
-    """(n, 3) out of the surface, so that dents are shaded."""
-    down_y, down_x = np.gradient(surface.height_m, surface.cell_m)
-    normals = np.stack([-down_x, -down_y, np.ones_like(down_x)], axis=-1).reshape(-1, 3)
-    return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True))
 
 
 def _colors(name: str, share: FloatArray) -> ColorArray:

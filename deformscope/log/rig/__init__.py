@@ -25,27 +25,12 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from deformscope.frames import (
-    ArmFrame,
-    ColorFrame,
-    DepthFrame,
-    HandFrame,
-    HealthReport,
-    InputFile,
-    Item,
-    LinkChange,
-    RawBytes,
-    SessionNote,
-    Stream,
-    TactileFrame,
-    WrenchFrame,
-)
+from deformscope import frames
 from deformscope.log.rig.arm import log_pose, log_shape
 from deformscope.log.rig.blueprint import rig_blueprint
 from deformscope.log.rig.cameras import log_color, log_depth
 from deformscope.log.rig.columns import Batch, Place, Shown, moments, recorded, root
-from deformscope.log.rig.health import log_health, log_health_stream
-from deformscope.log.rig.link import log_link, log_link_stream, log_notes, log_raw
+from deformscope.log.rig.health import log_health, log_health_stream, log_link, log_link_stream, log_notes, log_raw
 from deformscope.log.rig.numbers import log_numbers, log_numbers_stream
 from deformscope.log.rig.tactile import log_tactile, log_tactile_stream
 from deformscope.rows import ENTITIES, to_json
@@ -64,10 +49,10 @@ __all__ = [
     "warm_up",
 ]
 
-NUMBERS = {WrenchFrame: "wrench", ArmFrame: "arm", HandFrame: "hand"}
+NUMBERS = {frames.WrenchFrame: "wrench", frames.ArmFrame: "arm", frames.HandFrame: "hand"}
 
 
-def log_streams(rec: rr.RecordingStream, streams: Sequence[Stream]) -> None:
+def log_streams(rec: rr.RecordingStream, streams: Sequence[frames.Stream]) -> None:
     """Descriptions before the first frame: names and colours of series, pads, the arm's shape."""
     for stream in streams:
         rec.log(root(stream.kind, stream.device), rr.AnyValues(stream=to_json(stream)), static=True)
@@ -83,9 +68,9 @@ def log_streams(rec: rr.RecordingStream, streams: Sequence[Stream]) -> None:
 
 def log_items(
     rec: rr.RecordingStream,
-    items: Sequence[Item],
+    items: Sequence[frames.Item],
     start_ns: int,
-    streams: Sequence[Stream],
+    streams: Sequence[frames.Stream],
     lossless: Collection[str] = (),
 ) -> None:
     """Log a batch of items to one stream; arguments as in `prepare_items`."""
@@ -93,9 +78,9 @@ def log_items(
 
 
 def prepare_items(
-    items: Sequence[Item],
+    items: Sequence[frames.Item],
     start_ns: int,
-    streams: Sequence[Stream],
+    streams: Sequence[frames.Stream],
     lossless: Collection[str] = (),
     place: Place | None = None,
     shown: Shown | None = None,
@@ -115,46 +100,46 @@ def prepare_items(
     for (kind, device), group in _by_device(items).items():
         if kind in NUMBERS:
             log_numbers(batch, NUMBERS[kind], device, group, start_ns)
-        if kind is ArmFrame:
+        if kind is frames.ArmFrame:
             log_pose(batch, device, group, start_ns, known.get(("arm", device)))
-        elif kind is TactileFrame:
+        elif kind is frames.TactileFrame:
             log_tactile(batch, device, group, start_ns, known.get(("tactile", device)), shown)
-        elif kind is ColorFrame:
+        elif kind is frames.ColorFrame:
             log_color(batch, device, group, start_ns, device in lossless)
-        elif kind is DepthFrame:
+        elif kind is frames.DepthFrame:
             log_depth(batch, device, group, start_ns, device in lossless, shown)
-        elif kind is RawBytes:
+        elif kind is frames.RawBytes:
             log_raw(batch, device, group, start_ns)
-        elif kind is LinkChange:
+        elif kind is frames.LinkChange:
             log_link(batch, device, group, start_ns, streams)
-        elif kind is HealthReport:
+        elif kind is frames.HealthReport:
             log_health(batch, group, start_ns, streams, shown if changes_only else None)
-        elif kind is SessionNote:
+        elif kind is frames.SessionNote:
             log_notes(batch, group, start_ns)
         elif kind not in NUMBERS:
             raise TypeError(f"no twin in deformscope.log.rig shows a {kind.__name__}")
     return batch
 
 
-def prepare_input(given: InputFile, frame: int, session_ns: int) -> Batch:
+def prepare_input(given: frames.InputFile, frame: int, session_ns: int) -> Batch:
     """Prepare an input for recording. frame, session_ns: when it was given"""
     batch = Batch()
     times = [*moments([session_ns], 0), rr.TimeColumn("frame", sequence=[frame])]
-    batch.send_columns(ENTITIES[InputFile], times, recorded([given]))
+    batch.send_columns(ENTITIES[frames.InputFile], times, recorded([given]))
     return batch
 
 
 def warm_up() -> None:
     """Start rerun and the encoders before any device is opened, which takes up to half a second."""
     stamp, nothing = Stamp(0), np.zeros(3)
-    small: list[Item] = [
-        WrenchFrame(stamp, 0, np.zeros(3, np.int64), nothing[None]),
-        TactileFrame(stamp, 0, np.zeros(4, np.uint16), (np.zeros((2, 2)),)),
-        ColorFrame(stamp, 0, np.zeros((16, 16, 3), np.uint8), "color"),
-        DepthFrame(stamp, 0, np.full((16, 16), 1000, np.uint16), 0.001),
-        RawBytes(0, b"\0", False, "wrench"),
-        LinkChange(LinkEvent(0, Link.CONNECTED), "wrench"),
-        HealthReport(0, (("wrench", Health(Link.CONNECTED)),)),
+    small: list[frames.Item] = [
+        frames.WrenchFrame(stamp, 0, np.zeros(3, np.int64), nothing[None]),
+        frames.TactileFrame(stamp, 0, np.zeros(4, np.uint16), (np.zeros((2, 2)),)),
+        frames.ColorFrame(stamp, 0, np.zeros((16, 16, 3), np.uint8), "color"),
+        frames.DepthFrame(stamp, 0, np.full((16, 16), 1000, np.uint16), 0.001),
+        frames.RawBytes(0, b"\0", False, "wrench"),
+        frames.LinkChange(LinkEvent(0, Link.CONNECTED), "wrench"),
+        frames.HealthReport(0, (("wrench", Health(Link.CONNECTED)),)),
     ]
     rec = rr.RecordingStream("deformscope-warm-up", send_properties=False)
     rec.memory_recording()
@@ -162,7 +147,7 @@ def warm_up() -> None:
     rec.disconnect()
 
 
-def _by_device(items: Sequence[Item]) -> dict[tuple[type, str], list[Any]]:
+def _by_device(items: Sequence[frames.Item]) -> dict[tuple[type, str], list[Any]]:
     found: dict[tuple[type, str], list[Any]] = {}
     for item in items:
         found.setdefault((type(item), getattr(item, "device", "")), []).append(item)

@@ -41,7 +41,16 @@ def rig_views(streams: Sequence[Stream], *, with_health: bool = True) -> rrb.Con
     if not with_health and (pictures or plots):
         views = [*pictures, *plots]
         return rrb.Vertical(_rows(views, ON_A_PAGE[len(views) > ON_A_PAGE[0] * ROWS_ON_A_PAGE]))
-    return _stacked(pictures, plots, health, len(streams))
+    # pictures in rows above, plots and health side by side below them; without pictures health is below the plots
+    health_share = min(max(3.0, 0.73 * len(streams)), 6.0)  # room for a row and a lane each
+    plots_share = max(3.0 * _row_count(plots, PLOTS_A_ROW), health_share)
+    laid = [_rows(plots, PLOTS_A_ROW)] if plots else []
+    if not pictures:
+        return rrb.Vertical(*laid, *health, row_shares=[plots_share] * len(laid) + [health_share] * len(health))
+    above, beneath = _rows(pictures, PICTURES_A_ROW), [*laid, *health]
+    shares = [min(len(plots), PLOTS_A_ROW) + 1.0, 2.5] if laid else [1.0]
+    below = rrb.Horizontal(*beneath, column_shares=shares[: len(beneath)])
+    return rrb.Vertical(above, below, row_shares=[4.0 * _row_count(pictures, PICTURES_A_ROW), plots_share])
 
 
 def blueprint_of(
@@ -54,21 +63,6 @@ def blueprint_of(
     """Views over a timeline, without rerun's panels. fps: frames a second at which it plays"""
     time = rrb.TimePanel(timeline=timeline, state="collapsed", play_state=play, fps=fps)
     return rrb.Blueprint(views, rrb.BlueprintPanel(state="hidden"), rrb.SelectionPanel(state="hidden"), time)
-
-
-def _stacked(
-    pictures: Sequence[rrb.View], plots: Sequence[rrb.View], health: Sequence[rrb.Container], devices: int
-) -> rrb.Container:
-    """Pictures in rows above, plots and health side by side below them; without pictures health is below the plots."""
-    health_share = min(max(3.0, 0.73 * devices), 6.0)  # room for a row and a lane each
-    plots_share = max(3.0 * _row_count(plots, PLOTS_A_ROW), health_share)
-    laid = [_rows(plots, PLOTS_A_ROW)] if plots else []
-    if not pictures:
-        return rrb.Vertical(*laid, *health, row_shares=[plots_share] * len(laid) + [health_share] * len(health))
-    above, numbers = _rows(pictures, PICTURES_A_ROW), [*laid, *health]
-    shares = [min(len(plots), PLOTS_A_ROW) + 1.0, 2.5] if laid else [1.0]
-    below = rrb.Horizontal(*numbers, column_shares=shares[: len(numbers)])
-    return rrb.Vertical(above, below, row_shares=[4.0 * _row_count(pictures, PICTURES_A_ROW), plots_share])
 
 
 def _row_count(views: Sequence[rrb.View], most: int) -> int:

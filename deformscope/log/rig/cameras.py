@@ -50,7 +50,10 @@ def log_depth(
         columns += list(made.partition([len(row) for row in colors]))
     batch.send_columns(root("depth", device), frame_times(frames, start_ns), columns)
     if is_news(shown, device, (*reach, frames[0].depth.shape), frames[0].stamp.host_ns):
-        _log_scale(batch, device, frames[0], reach, start_ns)
+        frame = frames[0]
+        png = _scale_png(reach[0] * frame.unit_m, reach[1] * frame.unit_m, frame.depth.shape[:2])
+        scale = rr.EncodedImage.columns(blob=[png], draw_order=[-30.0])
+        batch.send_columns(root("display/depth", device), moments([frame.stamp.host_ns], start_ns), scale)
 
 
 def _range(depth: ImageArray, unit_m: float) -> tuple[float, float]:
@@ -63,13 +66,6 @@ def _range(depth: ImageArray, unit_m: float) -> tuple[float, float]:
     near, far = np.quantile(seen, (RARE, 1 - RARE)) * unit_m / STEP_M
     low, high = np.floor(near), max(np.ceil(far), np.floor(near) + 1)
     return float(low * STEP_M / unit_m), float(high * STEP_M / unit_m)
-
-
-def _log_scale(batch: Batch, device: str, frame: DepthFrame, reach: tuple[float, float], start_ns: int) -> None:
-    """The colours with their distances: a picture that is larger than the image, and behind it."""
-    png = _scale_png(reach[0] * frame.unit_m, reach[1] * frame.unit_m, frame.depth.shape[:2])
-    columns = rr.EncodedImage.columns(blob=[png], draw_order=[-30.0])
-    batch.send_columns(root("display/depth", device), moments([frame.stamp.host_ns], start_ns), columns)
 
 
 @functools.lru_cache(maxsize=64)

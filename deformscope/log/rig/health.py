@@ -1,13 +1,16 @@
-"""Health of the devices: a table as text, coloured lanes over time, and every counter as a number."""
+"""Health of the devices: a table as text, coloured lanes over time, and every counter as a number; the bytes on the
+wire, the times of the connection, and remarks of people."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
 import rerun as rr
 
-from deformscope.frames import HealthReport, Stream
-from deformscope.log.rig.columns import Batch, Shown, moments, recorded, root, states
+from deformscope.frames import HealthReport, LinkChange, RawBytes, SessionNote, Stream
+from deformscope.log.rig.columns import Batch, Shown, moments, recorded, root, scalars, states
+from deformscope.log.rig.numbers import plotted
 from deformscope.pictures.palette import BAD, GOOD, IDLE, WARN
 from deformscope_drivers.health import Health, Link
 
@@ -101,3 +104,43 @@ def _log_device(
     health = [one for _, one in looks]
     columns = [*rr.StateChange.columns(state=[word(one, stream) for one in health]), *recorded(health)]
     batch.send_columns(root("health", device), moments([at for at, _ in looks], start_ns), columns)
+
+
+LINK_COLORS = {Link.CONNECTED: GOOD, Link.LOST: WARN, Link.FAILED: BAD, Link.CLOSED: IDLE}
+LEVELS = {Link.CONNECTED: "INFO", Link.LOST: "WARN", Link.FAILED: "ERROR", Link.CLOSED: "INFO"}
+
+
+def log_link_stream(rec: rr.RecordingStream, device: str) -> None:
+    rec.log(root("link", device), states(LINK_COLORS), static=True)
+
+
+def log_link(
+    batch: Batch, device: str, changes: Sequence[LinkChange], start_ns: int, streams: Sequence[Stream]
+) -> None:
+    events = [change.event for change in changes]
+    words = [f"{event.link}: {event.reason}" if event.reason else str(event.link) for event in events]
+    columns = [
+        *rr.TextLog.columns(text=words, level=[LEVELS[event.link] for event in events]),
+        *rr.StateChange.columns(state=[str(event.link) for event in events]),
+        *recorded(changes),
+    ]
+    batch.send_columns(root("link", device), moments([event.host_ns for event in events], start_ns), columns)
+    ends = [event.host_ns for event in events if event.link != Link.CONNECTED]
+    for path, _ in [plot for stream in streams if stream.device == device for plot in plotted(stream)]:
+        if ends:  # a line goes no further: nobody knows what was between
+            batch.send_columns(path, moments(ends, start_ns), scalars([np.zeros(0)] * len(ends)))
+
+
+def log_notes(batch: Batch, notes: Sequence[SessionNote], start_ns: int) -> None:
+    words = [note.text if note.about == "note" else f"{note.about}: {note.text}" for note in notes]
+    columns = [
+        *rr.TextLog.columns(
+            text=words, level=["WARN" if note.about in ("alarm", "stage") else "INFO" for note in notes]
+        ),
+        *recorded(notes),
+    ]
+    batch.send_columns("note", moments([note.host_ns for note in notes], start_ns), columns)
+
+
+def log_raw(batch: Batch, device: str, pieces: Sequence[RawBytes], start_ns: int) -> None:
+    batch.send_columns(root("raw", device), moments([piece.host_ns for piece in pieces], start_ns), recorded(pieces))

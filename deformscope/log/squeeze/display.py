@@ -5,24 +5,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import rerun as rr
 
 from deformscope.arrays import FloatArray
+from deformscope.frames import Stream
 from deformscope.log.canvas import TEXT
 from deformscope.log.result_batch import ResultBatch
-from deformscope.log.rig.columns import Sink, states
+from deformscope.log.rig.columns import root
+from deformscope.log.rig.tactile import Hand
+from deformscope.log.stages.over_image import CENTER, MARK_MM
 from deformscope.pictures.depth_change import depth_change_png
 from deformscope.pictures.palette import BAD, REST, SIMULATED, Rgb, tints_of
-from deformscope.rows import ENTITIES
 from deformscope.stages.squeeze.events import SqueezeEvents
 from deformscope.stages.squeeze.trial import (
     ContainerChange,
     ContentPosterior,
+    FingertipPressure,
     SqueezeFeatures,
-    SqueezePhase,
-    SqueezeStop,
     TrackedContainer,
 )
 
@@ -46,24 +48,6 @@ SQUEEZE_PHASES: dict[str, Rgb] = {
     "open": (150, 155, 165),
     "stopped": BAD,
 }
-
-
-def log_squeeze_phases(rec: Sink) -> None:
-    rec.log(ENTITIES[SqueezePhase], states(SQUEEZE_PHASES), static=True)
-
-
-def log_squeeze_phase(now: ResultBatch, phase: SqueezePhase) -> None:
-    now.show_phase(phase, SQUEEZE_PHASES)
-
-
-def log_squeeze_stop(now: ResultBatch, stop: SqueezeStop) -> None:
-    now.show_words(ENTITIES[SqueezeStop], f"{stop.kind}: {stop.reason}", "ERROR")
-
-
-def log_nothing_known(now: ResultBatch) -> None:
-    """Log texts in place of numbers that do not exist yet."""
-    now.show_text(MEASURED, "*Numbers follow once the fingers are at rest.*")
-    now.show_text(NAMED, "*Classified from the first contact on.*")
 
 
 def log_measured(now: ResultBatch, results: Sequence[object]) -> None:
@@ -157,3 +141,38 @@ def log_container(now: ResultBatch, tracked: TrackedContainer) -> None:
     now.show(
         f"{path}/words", rr.Points2D([place], radii=0.01, colors=TEXT, labels=label, show_labels=True, draw_order=81.0)
     )
+
+
+FORCE = "display/squeeze/force"
+AXIS_MM = 16.0
+"""Length of the principal axis of pressures on a line; for a round distribution it is 0."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fingertips:
+    """stream: the tactile device; pads: places of the squeezing fingertips among its pads"""
+
+    stream: Stream
+    pads: tuple[int, ...]
+
+
+def log_fingertips(now: ResultBatch, felt: FingertipPressure, fingertips: Fingertips) -> None:
+    now.show(FORCE, rr.Scalars(felt.force_n))
+    hand = Hand.of(fingertips.stream.pads)
+    touched = [at for at in range(len(fingertips.pads)) if felt.area_m2[at] > 0.0]
+    centers, lines, labels = [], [], []
+    for at in touched:
+        top, left = hand.corners[fingertips.pads[at]]
+        center = np.array([left, top]) * hand.texel_mm + felt.center_m[at] * 1e3
+        half = 0.5 * AXIS_MM * felt.elongation[at] * np.array([np.cos(felt.axis_rad[at]), np.sin(felt.axis_rad[at])])
+        centers.append(center)
+        lines.append(np.nan_to_num(np.stack([center - half, center + half]), nan=0.0))
+        labels.append(f"{felt.force_n[at]:.2f} N, {felt.area_m2[at] * 1e4:.1f} cm2")
+    path = root("display/tactile", fingertips.stream.device)
+    points = np.array(centers).reshape(-1, 2)
+    now.show(
+        f"{path}/contact",
+        rr.Points2D(points, radii=MARK_MM, colors=CENTER, labels=labels, show_labels=True, draw_order=70.0),
+    )
+    strips = np.array(lines).reshape(-1, 2, 2)
+    now.show(f"{path}/axis", rr.LineStrips2D(strips, radii=0.4 * MARK_MM, colors=CENTER, draw_order=65.0))

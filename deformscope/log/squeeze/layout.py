@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from deformscope.arrays import FloatArray
-from deformscope.log.application import Application
-from deformscope.log.layout import RecordingLayout
+from deformscope.log.layout import Application, RecordingLayout
 
 if TYPE_CHECKING:
     import rerun as rr
 
     from deformscope.log.rig.columns import Batch, Place
-    from deformscope.log.squeeze.fingertips import Fingertips
+    from deformscope.log.squeeze.display import Fingertips
     from deformscope.stages.map.exploration import StageFailure
 
 SQUEEZE = Application("deformscope-squeeze", devices=True, robot_moves=True)
@@ -58,6 +57,6 @@ class SqueezeLayout(RecordingLayout):
         return prepare_squeeze_results(results, session_ns, self._fingertips())
 
     def _fingertips(self) -> Fingertips:
-        from deformscope.log.squeeze.fingertips import Fingertips
+        from deformscope.log.squeeze.display import Fingertips
 
         return Fingertips(next(stream for stream in self.streams if stream.device == self.tactile), self.pads)

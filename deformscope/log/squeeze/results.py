@@ -19,22 +19,12 @@ from functools import partial
 import rerun as rr
 
 from deformscope.log.result_batch import ResultBatch
-from deformscope.log.rig.columns import Batch, log_series
-from deformscope.log.squeeze.display import (
-    log_change,
-    log_container,
-    log_container_change,
-    log_content,
-    log_measured,
-    log_nothing_known,
-    log_squeeze_phase,
-    log_squeeze_phases,
-    log_squeeze_stop,
-)
-from deformscope.log.squeeze.fingertips import FORCE, Fingertips, log_fingertips
+from deformscope.log.rig.columns import Batch, log_series, states
+from deformscope.log.squeeze import display
 from deformscope.log.squeeze.placing import log_placement, log_sighting
 from deformscope.log.views import SOMETIMES, ShownStage, Views, views_of
 from deformscope.pictures.palette import tints_of
+from deformscope.rows import ENTITIES
 from deformscope.stages.squeeze.events import SqueezeEvents
 from deformscope.stages.squeeze.placement import ContainerSighting, HandPlacement
 from deformscope.stages.squeeze.trial import (
@@ -59,18 +49,20 @@ DEPTH_CHANGE = ShownStage("depth change", 2, "data minus model (fig. 2.6)", fiel
 POSTERIOR = ShownStage("posterior", 2, "probability of each content", when=SOMETIMES)
 
 
-def log_squeeze_start(rec: rr.RecordingStream, fingertips: Fingertips | None) -> None:
+def log_squeeze_start(rec: rr.RecordingStream, fingertips: display.Fingertips | None) -> None:
     """Log constants: colours of the phases, names of the plots; and empty results."""
-    log_squeeze_phases(rec)
+    rec.log(ENTITIES[SqueezePhase], states(display.SQUEEZE_PHASES), static=True)
     if fingertips is not None:
         names = [f"{fingertips.stream.pads[place].name} [N]" for place in fingertips.pads]
-        log_series(rec, FORCE, names, tints_of(len(names)))
+        log_series(rec, display.FORCE, names, tints_of(len(names)))
     batch = Batch()
-    log_nothing_known(ResultBatch(batch, 0))
+    start = ResultBatch(batch, 0)
+    start.show_text(display.MEASURED, "*Numbers follow once the fingers are at rest.*")
+    start.show_text(display.NAMED, "*Classified from the first contact on.*")
     batch.send(rec)
 
 
-def prepare_squeeze_results(results: Sequence[object], session_ns: int, fingertips: Fingertips | None) -> Batch:
+def prepare_squeeze_results(results: Sequence[object], session_ns: int, fingertips: display.Fingertips | None) -> Batch:
     """Prepare results for one stream or several. session_ns: time since the recording's start [ns].
 
     Raises TypeError if it is no result of a squeeze."""
@@ -82,23 +74,23 @@ def prepare_squeeze_results(results: Sequence[object], session_ns: int, fingerti
         now.record(result)
         for view in shown:
             view(now, result)
-    log_measured(now, results)
+    display.log_measured(now, results)
     return batch
 
 
-def squeeze_views(fingertips: Fingertips | None) -> Views[ResultBatch]:
+def squeeze_views(fingertips: display.Fingertips | None) -> Views[ResultBatch]:
     """The view of each result; events are in the table of `log_measured`."""
     return {
-        SqueezePhase: (PHASE, log_squeeze_phase),
-        SqueezeStop: (STOPPED, log_squeeze_stop),
+        SqueezePhase: (PHASE, partial(ResultBatch.show_phase, known=display.SQUEEZE_PHASES)),
+        SqueezeStop: (STOPPED, ResultBatch.show_stop),
         FingertipPressure: (
             FINGERTIPS,
-            *(() if fingertips is None else [partial(log_fingertips, fingertips=fingertips)]),
+            *(() if fingertips is None else [partial(display.log_fingertips, fingertips=fingertips)]),
         ),
-        TrackedContainer: (TRACK, log_container),
-        ContainerChange: (DEPTH_CHANGE, log_container_change),
-        SqueezeFeatures: (FEATURES, log_change),
-        ContentPosterior: (POSTERIOR, log_content),
+        TrackedContainer: (TRACK, display.log_container),
+        ContainerChange: (DEPTH_CHANGE, display.log_container_change),
+        SqueezeFeatures: (FEATURES, display.log_change),
+        ContentPosterior: (POSTERIOR, display.log_content),
         SqueezeEvents: (EVENTS,),
         ContainerSighting: (SIGHTING, log_sighting),
         HandPlacement: (PLACEMENT, log_placement),

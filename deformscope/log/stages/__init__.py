@@ -10,17 +10,22 @@ A result has the time, and the place on `frame`, of the newest frame from which 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import rerun as rr
 
 from deformscope.frames import StageResult, Stream
 from deformscope.log.rig.columns import Batch, log_series, moments, recorded, root, scalars
-from deformscope.log.stages.group import StageGroup
-from deformscope.log.stages.over_image import log_fields, log_flow_arrows, log_moments, log_particle_moments
-from deformscope.log.stages.pads import log_pads, log_pads_stream
-from deformscope.log.stages.summary import summary
+from deformscope.log.stages.over_image import (
+    StageGroup,
+    log_fields,
+    log_flow_arrows,
+    log_moments,
+    log_pads,
+    log_pads_stream,
+    log_particle_moments,
+)
 from deformscope.log.stages.views import PLOTS, WORDS
 from deformscope.log.views import SOMETIMES, ShownStage, Views, views_of
 from deformscope.pictures.exploration import force_png, height_png
@@ -57,7 +62,10 @@ def prepare_stage_results(
     newest_pictures: draw and mark only the newest result of each stage"""
     batch = Batch()
     known = {(stream.kind, stream.device): stream for stream in streams}
-    for (stage, device, kind), group in _by_kind(results).items():
+    found: dict[tuple[str, str, type], list[StageResult]] = {}
+    for one in results:
+        found.setdefault((one.stage, one.used[-1].device, type(one.result)), []).append(one)
+    for (stage, device, kind), group in found.items():
         times = moments([one.host_ns for one in group], start_ns)
         places = rr.TimeColumn("frame", sequence=np.array([one.used[-1].last for one in group], np.int64))
         columns = [*recorded(group, ("result",)), *recorded([one.result for one in group])]
@@ -87,15 +95,9 @@ def _log_tables(
         batch.send_columns(WORDS, moments([one.host_ns for one in ordered[kept]], start_ns), columns)
 
 
-def _log_surfaces(batch: Batch, group: StageGroup) -> None:
-    _log_pictures(batch, "surface", group, [height_png(one.result) for one in group.drawn])
-
-
-def _log_contacts(batch: Batch, group: StageGroup) -> None:
-    _log_pictures(batch, "contact", group, [force_png(one.result, "Approach") for one in group.drawn])
-
-
-def _log_pictures(batch: Batch, stage: str, group: StageGroup, pngs: Sequence[bytes]) -> None:
+def _log_pictures(batch: Batch, group: StageGroup, stage: str, draw: Callable[..., bytes], *more: object) -> None:
+    """A picture of each result that is drawn."""
+    pngs = [draw(one.result, *more) for one in group.drawn]
     columns = rr.EncodedImage.columns(blob=pngs, media_type=["image/png"] * len(pngs))
     times = moments([one.host_ns for one in group.drawn], group.start_ns)
     batch.send_columns(f"display/stage/{stage}", times, columns)
@@ -120,15 +122,51 @@ STAGE_VIEWS: Views[Batch] = {
     MomentFit: (BETA, THETA, log_moments),
     FieldMoment: (FIELD, log_fields),
     TactileContact: (TACTILE, log_pads),
-    SurfaceEstimate: (SURFACE, _log_surfaces),
-    TouchEstimate: (CONTACT, _log_contacts),
+    SurfaceEstimate: (SURFACE, lambda batch, group: _log_pictures(batch, group, "surface", height_png)),
+    TouchEstimate: (CONTACT, lambda batch, group: _log_pictures(batch, group, "contact", force_png, "Approach")),
     StageFailure: (ShownStage("failed", 0, "a stage that failed", entity="stage", field="reason", when=SOMETIMES),),
 }
 """The view of the results of each type, those of one device together (`StageGroup`); a failure is in the table."""
 
 
-def _by_kind(results: Sequence[StageResult]) -> dict[tuple[str, str, type], list[StageResult]]:
-    found: dict[tuple[str, str, type], list[StageResult]] = {}
-    for one in results:
-        found.setdefault((one.stage, one.used[-1].device, type(one.result)), []).append(one)
-    return found
+def summary(latest: Sequence[StageResult]) -> str:
+    """The newest result of every stage, as a table in Markdown."""
+    lines = ["| stage | newest result | of frame | skipped before it | lag |", "| --- | --- | --- | --- | --- |"]
+    for one in latest:
+        used = one.used[-1]
+        cells = (one.stage, format_result(one.result), f"{used.device} {used.last}", str(one.skipped))
+        lines.append(f"| {' | '.join(cell.replace('|', '/') for cell in cells)} | **{one.late_s * 1e3:.0f} ms** |")
+    return "\n".join(lines)
+
+
+def format_result(result: object) -> str:
+    """One result in a line."""
+    match result:
+        case StageFailure():
+            return f"**FAILED**: {result.reason}"
+        case FlowArrows():
+            length = np.hypot(*result.flow_px[np.isfinite(result.flow_px).all(axis=1)].T)
+            return f"median motion {np.median(length):.2g} px, largest {length.max(initial=0.0):.2g} px"
+        case MomentFit():
+            seen = f"{np.count_nonzero(result.seen)} of {len(result.seen)} particles seen"
+            value = "" if np.isnan(result.value) else f"**{result.parameter} = {result.value:.3g}**, "
+            return f"{value}{result.verdict_text}; {seen}"
+        case ParticleMoment():
+            moved = np.hypot(*(result.position_px - result.rest_px)[result.seen].T)
+            median = f"median motion {np.median(moved):.2g} px" if moved.size else "none followed"
+            return f"{np.count_nonzero(result.seen)} of {len(result.seen)} particles seen, {median}"
+        case FieldMoment():
+            low, high = result.ratio_interval
+            determined = f"{np.count_nonzero(result.determined)} of {len(result.determined)} places determined"
+            ratio = f"stiffest over softest {result.ratio:.3g} ({low:.3g} to {high:.3g})"
+            return f"**{result.verdict}**, {ratio}, {determined}"
+        case TactileContact():
+            touched = int(np.count_nonzero(result.area_m2))
+            area_cm2 = result.area_m2.sum() * 1e4
+            return f"**{result.force_n.sum():.3g} N** on {area_cm2:.3g} cm2, {touched} of {len(result.area_m2)} pads"
+        case SurfaceEstimate():
+            middle_mm, deviation_mm = np.median(result.height_m) * 1e3, np.median(result.deviation_m) * 1e3
+            return f"median height {middle_mm:.4g} mm, deviation {deviation_mm:.2g} mm, {len(result.points_m)} points"
+        case TouchEstimate():
+            return result.stiffness_text
+    raise TypeError(f"no text for a {type(result).__name__}")

@@ -1,19 +1,37 @@
-"""Flow, particles and fields over the image that they were found in."""
+"""Results of stages as marks: flow, particles and fields over the image that they were found in; centres of pressure on
+the picture of the hand, with force and contact area of each pad over time."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import rerun as rr
 
 from deformscope.arrays import FloatArray
-from deformscope.log.rig.columns import Batch, moments, root, scalars
-from deformscope.log.stages.group import StageGroup
+from deformscope.frames import StageResult, Stream
+from deformscope.log.rig.columns import Batch, log_series, moments, root, scalars
+from deformscope.log.rig.tactile import Hand
 from deformscope.log.stages.views import PLOTS
-from deformscope.pictures.palette import HELD, LOST, OBSERVED, SIMULATED, colors, round_up
+from deformscope.pictures.palette import HELD, LOST, OBSERVED, SIMULATED, colors, round_up, tints_of
 from deformscope.stages.fit.moment import FieldMoment, MomentFit, ParticleMoment
 from deformscope.stages.see.arrows import FlowArrows
+
+
+@dataclass(frozen=True, slots=True)
+class StageGroup:
+    """Results of one stage, from one device and of one type, which are logged together.
+
+    pads: layout of the tactile device, None for another device; results: plotted; drawn: results that are marked or
+    drawn; start_ns: host time at which `session` is 0 [ns]"""
+
+    pads: Stream | None
+    device: str
+    results: Sequence[StageResult]
+    drawn: Sequence[StageResult]
+    start_ns: int
+
 
 STILL_PX = 0.25
 """Length below which an arrow would show the flow's noise."""
@@ -121,3 +139,40 @@ def _spacing(points: FloatArray) -> float:
     """Distance between neighbouring columns or rows of lattice points (n, 2), whichever is less [px]."""
     steps = [np.diff(np.unique(np.round(points[:, axis], 3))) for axis in (0, 1)]
     return float(min((step.min() for step in steps if step.size), default=10.0))
+
+
+MARK_MM = 1.6
+CENTER = (0, 255, 220)
+
+
+def log_pads_stream(rec: rr.RecordingStream, stream: Stream) -> None:
+    for quantity, unit in (("force", "N"), ("area", "cm2")):
+        names = [f"{pad.name} [{unit}]" for pad in stream.pads]
+        log_series(rec, f"{PLOTS}/{quantity}/{stream.device}", names, tints_of(len(names)))
+
+
+def log_pads(batch: Batch, group: StageGroup) -> None:
+    assert group.pads is not None
+    times = moments([one.host_ns for one in group.results], group.start_ns)
+    for quantity, values in (
+        ("force", [one.result.force_n for one in group.results]),
+        ("area", [one.result.area_m2 * 1e4 for one in group.results]),
+    ):
+        batch.send_columns(f"{PLOTS}/{quantity}/{group.device}", times, scalars(values))
+    hand = Hand.of(group.pads.pads)
+    corners = np.array([(left, top) for top, left in hand.corners]) * hand.texel_mm
+    centers, labels, counts = [], [], []
+    for one in group.drawn:
+        felt = np.flatnonzero(one.result.area_m2 > 0.0)
+        centers.append(corners[felt] + one.result.center_m[felt] * 1e3)
+        labels += [f"{one.result.force_n[pad]:.2f} N, {one.result.area_m2[pad] * 1e4:.1f} cm2" for pad in felt]
+        counts.append(len(felt))
+    total = sum(counts)
+    columns = [
+        *rr.Points2D.columns(
+            positions=np.concatenate(centers), radii=[MARK_MM] * total, colors=[CENTER] * total, labels=labels
+        ).partition(counts),
+        *rr.Points2D.columns(show_labels=[True] * len(group.drawn), draw_order=[70.0] * len(group.drawn)),
+    ]
+    times = moments([one.host_ns for one in group.drawn], group.start_ns)
+    batch.send_columns(root("display/tactile", group.device, "contact"), times, columns)

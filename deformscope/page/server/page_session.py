@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import msgspec
@@ -214,24 +214,22 @@ class PageSession:
         if isinstance(command, ConfirmMove | CancelMove):
             return self._decide(command)
         if isinstance(command, SeeMove):
-            return self._see(command.number)
+            with self._lock:
+                pending = self._state.pending
+                if pending is None or pending.number != command.number or pending.seen:
+                    return "refused", GONE
+                until_s = self._now_s() + CONFIRM_S
+                self.show(pending=msgspec.structs.replace(pending, until_s=until_s, seen=True))
+            self._drop_after(CONFIRM_S, command.number, seen=True)
+            return "done", pending.what
         kind = str(command.__struct_config__.tag)
         if self._run is None or kind not in state.commands:
-            return "refused", _refusal(kind, state.phase, state.commands)
+            possible = ", ".join(state.commands) or "none"
+            return "refused", f"no {kind} while it is {state.phase}; possible: {possible}"
         try:
             return self._run.handle(command)
         except Exception as error:  # whatever a command does, the server goes on
             return "refused", " ".join(str(error).split()) or type(error).__name__
-
-    def _see(self, number: int) -> tuple[Outcome, str]:
-        with self._lock:
-            pending = self._state.pending
-            if pending is None or pending.number != number or pending.seen:
-                return "refused", GONE
-            until_s = self._now_s() + CONFIRM_S
-            self.show(pending=msgspec.structs.replace(pending, until_s=until_s, seen=True))
-        self._drop_after(CONFIRM_S, number, seen=True)
-        return "done", pending.what
 
     def _decide(self, command: ConfirmMove | CancelMove) -> tuple[Outcome, str]:
         if isinstance(command, CancelMove):
@@ -262,11 +260,6 @@ class PageSession:
 
 def _expired() -> str:
     return f"not confirmed within {CONFIRM_S:g} s: nothing moved"
-
-
-def _refusal(kind: str, phase: Phase, commands: Collection[str]) -> str:
-    possible = ", ".join(commands) or "none"
-    return f"no {kind} while it is {phase}; possible: {possible}"
 
 
 def _nothing(*given: object) -> None:

@@ -86,7 +86,11 @@ class Pieces:
                 kept, name = (self._lasting, "lasting") if lasting else (self._passing, "passing")
                 kept.append(piece)
                 self._bytes[name] += len(data)
-            self._forget()
+            while self._bytes["lasting"] > LASTING_BYTES:
+                self._bytes["lasting"] -= len(self._lasting.popleft().data)
+            oldest_s = self._clock() - RECENT_S
+            while self._passing and (self._bytes["passing"] > RECENT_BYTES or self._passing[0].made_s < oldest_s):
+                self._bytes["passing"] -= len(self._passing.popleft().data)
             watchers = tuple(self._watchers)
         for call in watchers:
             call()
@@ -152,10 +156,3 @@ class Pieces:
             now_s = self._clock()
             ready = any(not reader.drawing and now_s >= reader.wants_s for reader in self._readers)
             return FASTEST_S if ready else SLOWEST_S
-
-    def _forget(self) -> None:
-        while self._bytes["lasting"] > LASTING_BYTES:
-            self._bytes["lasting"] -= len(self._lasting.popleft().data)
-        oldest_s = self._clock() - RECENT_S
-        while self._passing and (self._bytes["passing"] > RECENT_BYTES or self._passing[0].made_s < oldest_s):
-            self._bytes["passing"] -= len(self._passing.popleft().data)

@@ -63,7 +63,19 @@ class ViewerFiles:
         """Bytes of one of `NAMES`. Raises OSError or InputError without such a file."""
         with self._lock:
             if self._file is None:
-                self._places = _find_files(viewer_executable())
+                # start and length of each of `NAMES` in it [bytes]
+                executable = viewer_executable()
+                with executable.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+                    script, module = _SCRIPT.search(content), content.find(_MODULE)
+                    end = module + len(_MODULE)
+                    while header := _SECTION.match(content, end):
+                        end = header.end() + sum((byte & 0x7F) << 7 * place for place, byte in enumerate(header[1]))
+                    if script is None or module < 0 or end > len(content):
+                        advice = "pip install --force-reinstall rerun-sdk"
+                        raise InputError("a rerun that holds its web viewer", "none", advice, executable)
+                self._places = dict(
+                    zip(NAMES, [(script.start(), script.end() - script.start()), (module, end - module)], strict=True)
+                )
                 self._file = viewer_executable().open("rb")
             return self._places[name][1]
 
@@ -83,22 +95,3 @@ class ViewerFiles:
             if self._file is not None:
                 self._file.close()
                 self._file = None
-
-
-def _find_files(executable: Path) -> dict[str, tuple[int, int]]:
-    """Start and length of each of `NAMES` in it [bytes]. Raises InputError."""
-    with executable.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-        script, module = _SCRIPT.search(content), content.find(_MODULE)
-        end = _end_of_module(content, module)
-        if script is None or module < 0 or end > len(content):
-            advice = "pip install --force-reinstall rerun-sdk"
-            raise InputError("a rerun that holds its web viewer", "none", advice, executable)
-    return dict(zip(NAMES, [(script.start(), script.end() - script.start()), (module, end - module)], strict=True))
-
-
-def _end_of_module(content: mmap.mmap, start: int) -> int:
-    """Where a WebAssembly module ends: sections follow its first bytes, each behind its number and length (LEB128)."""
-    at = start + len(_MODULE)
-    while header := _SECTION.match(content, at):
-        at = header.end() + sum((byte & 0x7F) << 7 * place for place, byte in enumerate(header[1]))
-    return at

@@ -43,7 +43,7 @@ from deformscope.frames import (
     WrenchFrame,
 )
 from deformscope.images import decode_image, encode_jpeg
-from deformscope.log.rig_layout import RIG, RigLayout
+from deformscope.log.layout import RIG, RigLayout
 from deformscope.recording.items import read_stage_results
 from deformscope.recording.recorder import Recorder
 from deformscope.rig.rig_file import Tool, load_rig
