@@ -70,7 +70,7 @@ def _log_flat(rec: rr.RecordingStream, comparison: Comparison, length: FloatArra
     finite = np.isfinite(comparison.simulated).all(axis=1)
     if not canvas.image:  # a sequence has logged both already, frame by frame
         log_rest(rec, comparison.rest, canvas)
-        log_observed(rec, comparison.observed, comparison.seen, canvas, "particles")
+        log_observed(rec, comparison.observed, comparison.seen, canvas)
     log_place(rec, canvas, "particles/simulated", "residual/lines", "residual/points", "residual/held")
     rec.log(
         "particles/simulated",

@@ -21,36 +21,36 @@ def log_grid(rec: rr.RecordingStream, grid: ParticleGrid, canvas: Canvas) -> Non
     log_rest(rec, grid.rest_px, canvas)
 
 
-def log_rest(rec: rr.RecordingStream, rest: FloatArray, canvas: Canvas, path: str = "particles") -> None:
+def log_rest(rec: rr.RecordingStream, rest: FloatArray, canvas: Canvas) -> None:
     """Log rest positions (K, 2) in green."""
     radius = canvas.spacing * REST_RADIUS
-    log_place(rec, canvas, f"{path}/rest")
-    rec.log(f"{path}/rest", rr.Points2D(rest, radii=radius, colors=REST, draw_order=30.0))
-    log_legend(rec, f"{path}/legend/rest", canvas, [(0, "rest", REST)])
+    log_place(rec, canvas, "particles/rest")
+    rec.log("particles/rest", rr.Points2D(rest, radii=radius, colors=REST, draw_order=30.0))
+    log_legend(rec, "particles/legend/rest", canvas, [(0, "rest", REST)])
 
 
-def log_tracked(rec: rr.RecordingStream, tracked: Tracked, canvas: Canvas, path: str = "particles") -> None:
+def log_tracked(rec: rr.RecordingStream, tracked: Tracked, canvas: Canvas) -> None:
     """Log seen particles as blue discs, and lost ones as pale crosses at their last known places."""
     seen = tracked.seen & np.isfinite(tracked.position_px).all(axis=1)
-    log_observed(rec, tracked.position_px, seen, canvas, path)
-    rec.log(f"{path}/observed", rr.AnyValues(noise_px=tracked.noise_px, seen=tracked.seen))
+    log_observed(rec, tracked.position_px, seen, canvas)
+    rec.log("particles/observed", rr.AnyValues(noise_px=tracked.noise_px, seen=tracked.seen))
 
 
 def log_observed(
-    rec: rr.RecordingStream, position: FloatArray, seen: np.typing.NDArray[np.bool_], canvas: Canvas, path: str
+    rec: rr.RecordingStream, position: FloatArray, seen: np.typing.NDArray[np.bool_], canvas: Canvas
 ) -> None:
     """Log positions (K, 2): blue discs for seen particles, pale crosses for others."""
     lost = ~seen & np.isfinite(position).all(axis=1)
     radius = canvas.spacing * OBSERVED_RADIUS
-    log_place(rec, canvas, f"{path}/observed", f"{path}/lost")
-    rec.log(f"{path}/observed", rr.Points2D(position[seen], radii=radius, colors=OBSERVED, draw_order=40.0))
-    rec.log(f"{path}/lost", crosses(position[lost], canvas.spacing * CROSS))
-    log_legend(rec, f"{path}/legend/observed", canvas, [(1.0, "observed", OBSERVED)])
+    log_place(rec, canvas, "particles/observed", "particles/lost")
+    rec.log("particles/observed", rr.Points2D(position[seen], radii=radius, colors=OBSERVED, draw_order=40.0))
+    rec.log("particles/lost", crosses(position[lost], canvas.spacing * CROSS))
+    log_legend(rec, "particles/legend/observed", canvas, [(1.0, "observed", OBSERVED)])
     slot = np.array([canvas.slot(3.0)])
     lost_count = int((~seen).sum())
     if lost_count:
-        rec.log(f"{path}/legend/lost", crosses(slot, canvas.mark))
-        log_labels(rec, f"{path}/legend/lost/label", canvas, [(*canvas.slot(3.0), f"lost: {lost_count}")])
+        rec.log("particles/legend/lost", crosses(slot, canvas.mark))
+        log_labels(rec, "particles/legend/lost/label", canvas, [(*canvas.slot(3.0), f"lost: {lost_count}")])
 
 
 def crosses(center: FloatArray, arm: float) -> rr.LineStrips2D:
@@ -68,7 +68,7 @@ STILL_PX = 0.25
 """Length below which an arrow would show the flow's noise."""
 
 
-def log_flow(rec: rr.RecordingStream, flow: FlowField, canvas: Canvas, path: str = "flow") -> None:
+def log_flow(rec: rr.RecordingStream, flow: FlowField, canvas: Canvas) -> None:
     """Log the motion since the previous frame, at the particles or on a sparse grid, coloured by its length."""
     origin, vector, step_px = _sparse(flow.flow_px, canvas)
     length_px = np.hypot(vector[:, 0], vector[:, 1])
@@ -76,7 +76,7 @@ def log_flow(rec: rr.RecordingStream, flow: FlowField, canvas: Canvas, path: str
     times = _stretch(length_px, step_px)
     moving = length_px >= STILL_PX
     rec.log(
-        f"{path}/arrows",
+        "flow/arrows",
         rr.Arrows2D(
             origins=origin[moving],
             vectors=vector[moving] * times,
@@ -85,9 +85,9 @@ def log_flow(rec: rr.RecordingStream, flow: FlowField, canvas: Canvas, path: str
             draw_order=40.0,
         ),
     )
-    log_color_bar(rec, f"{path}/legend", canvas, end_px, "px")
+    log_color_bar(rec, "flow/legend", canvas, end_px, "px")
     note = "arrows at true length" if times == 1 else f"arrows drawn {times:g} times their length"
-    log_legend(rec, f"{path}/legend/note", canvas, [(2.0, note, LABEL)], row=1)
+    log_legend(rec, "flow/legend/note", canvas, [(2.0, note, LABEL)], row=1)
 
 
 def _sparse(flow_px: FloatArray, canvas: Canvas) -> tuple[FloatArray, FloatArray, float]:

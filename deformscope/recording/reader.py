@@ -154,11 +154,10 @@ class Replay:
         found = self.read_inputs()
         return [found[name] for name in sorted(found, key=_natural) if name.split("/")[0] == "pair"]
 
-    def read_inputs(self, folder: str = "") -> dict[str, bytes]:
-        """Inputs that are no frames, by their names below FOLDER, in the order of their names."""
+    def read_inputs(self) -> dict[str, bytes]:
+        """Inputs that are no frames, in the order of their names."""
         found = {row.item.name: row.item.content for row in read_rows(self, (InputFile,))}
-        prefix = f"{folder}/" if folder else ""
-        return {name.removeprefix(prefix): found[name] for name in sorted(found) if name.startswith(prefix)}
+        return {name: found[name] for name in sorted(found)}
 
     def frames(
         self, pace: Pace = "fast", wait: Callable[[ColorFrame], None] | None = None, camera: str | None = None
@@ -170,21 +169,19 @@ class Replay:
         if pace == "step" and wait is None:
             raise ValueError('a pace of "step" needs something to wait for')
         started_ns: int | None = None
-        for frame in self._color_frames(self.camera(camera)):
+        camera = self.camera(camera)
+        for row in read_rows(self, (ColorFrame, DepthFrame), device=camera):
+            frame: ColorFrame | DepthFrame = row.item
+            if isinstance(frame, DepthFrame):
+                if frame.color is None:
+                    continue
+                frame = ColorFrame(frame.stamp, frame.index, frame.color, camera)
             if pace == "step" and wait is not None:
                 wait(frame)
             if pace == "real":
                 started_ns = started_ns or time.monotonic_ns() - frame.stamp.host_ns
                 time.sleep(max(0, started_ns + frame.stamp.host_ns - time.monotonic_ns()) / 1e9)
             yield frame
-
-    def _color_frames(self, camera: str) -> Iterator[ColorFrame]:
-        for row in read_rows(self, (ColorFrame, DepthFrame), device=camera):
-            frame: ColorFrame | DepthFrame = row.item
-            if isinstance(frame, ColorFrame):
-                yield frame
-            elif frame.color is not None:
-                yield ColorFrame(frame.stamp, frame.index, frame.color, camera)
 
     def _check(self, trust: bool) -> None:
         """Refuse a file that is no recording of ours, or has changed since it was recorded."""

@@ -15,6 +15,7 @@ import uuid
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -190,7 +191,9 @@ class Recorder:
                 case Step():
                     self._take_step(one)
                 case InputFile():
-                    self._take_input(one)
+                    self._inputs += 1
+                    if self.active:
+                        self._put(partial(self._encoder.write_input, one), len(one.content))
 
     def stopped_because(self, reason: str) -> None:
         """End the recording of a run that ended early: it is complete, and holds the reason."""
@@ -214,8 +217,8 @@ class Recorder:
                 self._losses = losses_of(item)
         self._frames += sum(isinstance(item, Frame) for item in items)
         if self.active:
-            encoder, size = self._encoder, sum(map(item_size, items))
-            self._put(lambda: encoder.write_items(items, size), size)
+            size = sum(map(item_size, items))
+            self._put(partial(self._encoder.write_items, items, size), size)
 
     def _take_step(self, step: Step) -> None:
         self._steps += 1
@@ -223,14 +226,8 @@ class Recorder:
             step = dataclasses.replace(step, costs=())
         if self.active and (step.results or step.moment is not None):
             results = (one.result if isinstance(one, StageResult) else one for one in step.results)
-            encoder, size = self._encoder, sum(map(arrays_size, results))
-            self._put(lambda: encoder.write_step(step, size), size)
-
-    def _take_input(self, given: InputFile) -> None:
-        self._inputs += 1
-        if self.active:
-            encoder = self._encoder
-            self._put(lambda: encoder.write_input(given), len(given.content))
+            size = sum(map(arrays_size, results))
+            self._put(partial(self._encoder.write_step, step, size), size)
 
     # In the writer's thread ------------------------------------------------------------------------------------------
 

@@ -31,7 +31,7 @@ STAGES = {
     "surface": "deformscope.stages.map.surface.HeightProcess.at",
     "beta": f"{EXPLORER}.fit_beta",
     "beta field": f"{EXPLORER}.Explorer._beta_field",
-    "display": "deformscope.log.exploration.results.log_maps",
+    "display": "deformscope.log.exploration.display.log_maps",
 }
 ERRORS = [
     ValueError("x must be strictly increasing"),

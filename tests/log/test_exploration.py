@@ -315,7 +315,7 @@ def test_what_cannot_be_shown_is_recorded_with_where_it_failed(tmp_path: Path, m
     def broken(*_: object) -> None:
         raise FloatingPointError("no ink")
 
-    monkeypatch.setattr("deformscope.log.exploration.results.log_curves", broken)
+    monkeypatch.setattr("deformscope.log.exploration.results.log_dent", broken)
     told, maps = synthetic.touch(1), synthetic.maps(2)
     rec = rr.RecordingStream("deformscope-explore", recording_id="exploration")
     rec.set_sinks(rr.FileSink(tmp_path / "run.rrd"))
