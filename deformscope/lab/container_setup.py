@@ -10,14 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from deformscope.errors import InputError
-from deformscope.lab.carried_hand import (
-    CARRIED_NAMES,
-    T_ARM_HAND,
-    T_BASE_TABLE,
-    T_TABLE_CAMERA,
-    CarriedHandLab,
-    workspace_of,
-)
+from deformscope.lab import carried_hand
 from deformscope.lab.container_constants import CONTENTS
 from deformscope.lab.container_shell import SHAPES, ContainerShape
 from deformscope.lab.squeeze_lab import NAMES, ContainerCase, SqueezeLab, container_of
@@ -105,24 +98,24 @@ def _carried(
     """The container is on a table, and an arm carries the hand: the parked thumb is above it."""
     middle = transform(np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]), GripShape.of(section, squeeze).middle_m)
     section = dataclasses.replace(section, T_hand_container=tuple(tuple(map(float, row)) for row in middle))
-    T_base_table = T_BASE_TABLE[arm]
-    placement = Placement(T_base_table, hand_tool(T_ARM_HAND, GripShape.of(section, squeeze)))
-    lab = CarriedHandLab(arm, placement, ContainerCase(content, container, seed, session), camera_hz)
+    T_base_table = carried_hand.T_BASE_TABLE[arm]
+    placement = Placement(T_base_table, hand_tool(carried_hand.T_ARM_HAND, GripShape.of(section, squeeze)))
+    lab = carried_hand.CarriedHandLab(arm, placement, ContainerCase(content, container, seed, session), camera_hz)
     lens = lab.view.intrinsics
     setup = SqueezeSetup(
-        names=SqueezeNames(*CARRIED_NAMES),
-        hand=HandSection(T_arm_hand=tuple(tuple(map(float, row)) for row in T_ARM_HAND)),
+        names=SqueezeNames(*carried_hand.CARRIED_NAMES),
+        hand=HandSection(T_arm_hand=tuple(tuple(map(float, row)) for row in carried_hand.T_ARM_HAND)),
         container=section,
         squeeze=squeeze,
         camera=CameraView((lens.fx_px, lens.fy_px), (lens.cx_px, lens.cy_px), rate_hz=camera_hz),
         open_source=lab.source,
         grasp=draw_grasp(section, squeeze, seed),
-        T_arm_hand=T_ARM_HAND,
-        T_arm_camera=T_base_table @ T_TABLE_CAMERA,
+        T_arm_hand=carried_hand.T_ARM_HAND,
+        T_arm_camera=T_base_table @ carried_hand.T_TABLE_CAMERA,
         simulated=True,
         runs_itself=False,
         truth=lab.truth,
-        placing=PlacingSetup(lab.chain, placement, workspace_of(T_base_table), {}),
+        placing=PlacingSetup(lab.chain, placement, carried_hand.workspace_of(T_base_table), {}),
         clock=lab.clock,
         wait_until=lab.wait_until,
     )

@@ -14,23 +14,13 @@ import numpy.typing as npt
 
 from deformscope.arrays import FloatArray
 from deformscope.capsule import Capsule
+from deformscope.lab import ray_camera
 from deformscope.lab.container_constants import PAD_OFFSET_M
 from deformscope.lab.container_shell import ContainerShape
 from deformscope.lab.container_world import hand_from_container
-from deformscope.lab.ray_camera import (
-    COLOR,
-    CONTAINER,
-    NOTHING,
-    TABLE,
-    DepthViewConfig,
-    RayCamera,
-    Rendered,
-    grid_triangles,
-    looking_at,
-)
 from deformscope_drivers.sdh.kinematics import FINGERS, finger_points
 
-CAMERA = DepthViewConfig(distance_m=1.0, elevation_deg=20.0, azimuth_deg=-20.0)
+CAMERA = ray_camera.DepthViewConfig(distance_m=1.0, elevation_deg=20.0, azimuth_deg=-20.0)
 """Pose of the camera relative to the container's axes, in its unturned pose in the hand."""
 PALM_RADIUS_M, PALM_BACK_M = 0.045, 0.10
 PALM = Capsule(np.array([0.0, 0.0, -PALM_BACK_M]), np.array([0.0, 0.0, -PALM_RADIUS_M]), PALM_RADIUS_M)
@@ -40,13 +30,13 @@ FINER = 3
 """Number of flat facets between two nodes of the shell, on the true form."""
 
 
-def camera_pose(config: DepthViewConfig = CAMERA) -> FloatArray:
+def camera_pose(config: ray_camera.DepthViewConfig = CAMERA) -> FloatArray:
     """(4, 4) camera to hand [m], where a container in a level hand is seen well; the same in every trial."""
-    looking = looking_at(np.zeros(3), config.distance_m, config.elevation_deg, config.azimuth_deg)
+    looking = ray_camera.looking_at(np.zeros(3), config.distance_m, config.elevation_deg, config.azimuth_deg)
     return np.asarray(hand_from_container() @ looking)
 
 
-class ContainerView(RayCamera):
+class ContainerView(ray_camera.RayCamera):
     """A camera in front of a container in the hand.
 
     shape: shape of the container"""
@@ -56,7 +46,7 @@ class ContainerView(RayCamera):
         shape: ContainerShape,
         nodes_m: tuple[FloatArray, FloatArray],
         T_hand_container: FloatArray,
-        config: DepthViewConfig = CAMERA,
+        config: ray_camera.DepthViewConfig = CAMERA,
         T_world_camera: FloatArray | None = None,
     ) -> None:
         """nodes_m: along s and z, at which `render` is given displacements; T_hand_container: (4, 4) container's pose
@@ -76,7 +66,7 @@ class ContainerView(RayCamera):
         self._rows = s_m.shape[1]
         around = np.arange(s_m.size).reshape(s_m.shape)
         wall = np.vstack([around, around[:1]])
-        number = wall.ravel()[grid_triangles(*wall.shape)]
+        number = wall.ravel()[ray_camera.grid_triangles(*wall.shape)]
         high = around[:, -1]
         lid = np.column_stack([high, np.roll(high, -1), np.full(len(high), s_m.size)])
         self._triangles = np.concatenate([number, lid]).astype(np.uint32)
@@ -85,10 +75,10 @@ class ContainerView(RayCamera):
         corners = corner @ T_hand_container[:3, :3].T + T_hand_container[:3, 3]
         whole = (slice(None), slice(None))
         depth, facing, _ = self.hits([(corners, np.array([[0, 1, 2], [0, 2, 3]], np.uint32))], whole)
-        seen = np.where(np.isnan(depth), NOTHING, TABLE).astype(np.uint8)
+        seen = np.where(np.isnan(depth), ray_camera.NOTHING, ray_camera.TABLE).astype(np.uint8)
         if T_world_camera is None:
             self.cover(PALM, depth, seen, facing)
-        self._still = Rendered(depth, _colors(seen, facing), seen, facing)
+        self._still = ray_camera.Rendered(depth, _colors(seen, facing), seen, facing)
 
     def mesh(self, inward_m: FloatArray) -> tuple[FloatArray, npt.NDArray[np.uint32]]:
         """Vertices (n, 3) of the container in its own frame, and its triangles. inward_m: (nodes along s, along z)"""
@@ -104,7 +94,7 @@ class ContainerView(RayCamera):
         T_hand_container: FloatArray,
         position_deg: npt.NDArray[np.float64],
         robot: Sequence[Capsule] | None = None,
-    ) -> Rendered:
+    ) -> ray_camera.Rendered:
         """The exact picture. inward_m: (nodes along s, along z) displacement of the wall; position_deg: (7,) position
         of the hand; robot: visible parts of the robot, None = the fingers of a hand, in the hand's frame"""
         still = self._still
@@ -114,7 +104,11 @@ class ContainerView(RayCamera):
         part = self.part(self.pixels(placed), AROUND_PX)
         own, cosine, _ = self.hits([(placed, triangle)], part)
         nearer = own < np.where(np.isnan(depth[part]), np.inf, depth[part])
-        for whole, value in ((depth, own), (seen, np.full(own.shape, CONTAINER, np.uint8)), (facing, cosine)):
+        for whole, value in (
+            (depth, own),
+            (seen, np.full(own.shape, ray_camera.CONTAINER, np.uint8)),
+            (facing, cosine),
+        ):
             whole[part] = np.where(nearer, value, whole[part])
         capsules = finger_capsules(position_deg) if robot is None else robot
         for capsule in capsules:
@@ -122,12 +116,12 @@ class ContainerView(RayCamera):
         color = still.color.copy()
         for window in (part, *(self.window(capsule) for capsule in capsules)):
             color[window] = _colors(seen[window], facing[window])
-        return Rendered(depth, color, seen, facing)
+        return ray_camera.Rendered(depth, color, seen, facing)
 
 
 def _colors(seen: npt.NDArray[np.uint8], facing: FloatArray) -> npt.NDArray[np.uint8]:
     """(..., 3) RGB, lit along the view."""
-    return np.rint(COLOR[seen] * (0.35 + 0.65 * np.abs(facing))[..., None]).astype(np.uint8)
+    return np.rint(ray_camera.COLOR[seen] * (0.35 + 0.65 * np.abs(facing))[..., None]).astype(np.uint8)
 
 
 def finger_capsules(position_deg: npt.NDArray[np.float64]) -> list[Capsule]:

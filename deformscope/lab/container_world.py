@@ -21,28 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from deformscope.arrays import FloatArray, IntArray
-from deformscope.lab.container_constants import (
-    FILL,
-    FILL_SD,
-    GEAR_LOSS,
-    GEAR_LOSS_SD,
-    GRASP_ALONG_M,
-    GRASP_DEEP_M,
-    GRAVITY_M_S2,
-    OFF_CENTRE_M,
-    PAD_CURVATURE_M,
-    PAD_LENGTH_CURVATURE_M,
-    PAD_OFFSET_M,
-    PAD_STIFFNESS_PA_M,
-    ROLL_DEG,
-    TABLE_FRICTION,
-    TEMPERATURE_SD_K,
-    TIP_CURVATURE_M,
-    TIP_MARGIN_M,
-    TIP_ROWS,
-    YAW_DEG,
-    Content,
-)
+from deformscope.lab import container_constants as constants
 from deformscope.lab.container_filling import Gas, Patches
 from deformscope.lab.container_shell import ContainerShape, shell_of
 from deformscope_drivers.dsa.scene import COLUMNS, ROWS_DISTAL, TEXEL_PITCH_MM
@@ -93,14 +72,16 @@ class ContainerDraw:
         young = 1.0 + shape.wall.young_cv * (wall.standard_normal() + room.standard_normal()) / math.sqrt(2.0)
         along, roll, deep, off, yaw = own.uniform(-1.0, 1.0, 5)
         if grasp is None:
-            grasp = hand_from_container(GRASP_ALONG_M * along, ROLL_DEG * roll)
+            grasp = hand_from_container(constants.GRASP_ALONG_M * along, constants.ROLL_DEG * roll)
         return cls(
-            T_hand_container=misplaced(grasp, GRASP_DEEP_M * deep, OFF_CENTRE_M * off, YAW_DEG * yaw),
-            fill=min(FILL + FILL_SD * own.standard_normal(), 0.99),
+            T_hand_container=misplaced(
+                grasp, constants.GRASP_DEEP_M * deep, constants.OFF_CENTRE_M * off, constants.YAW_DEG * yaw
+            ),
+            fill=min(constants.FILL + constants.FILL_SD * own.standard_normal(), 0.99),
             softness=1.0 / (young * thick**3),
-            warming_k=TEMPERATURE_SD_K * own.standard_normal(),
-            room_k=TEMPERATURE_SD_K * room.standard_normal(),
-            gear_loss=GEAR_LOSS + GEAR_LOSS_SD * own.standard_normal(7),
+            warming_k=constants.TEMPERATURE_SD_K * own.standard_normal(),
+            room_k=constants.TEMPERATURE_SD_K * room.standard_normal(),
+            gear_loss=constants.GEAR_LOSS + constants.GEAR_LOSS_SD * own.standard_normal(7),
         )
 
 
@@ -155,7 +136,7 @@ class _Finger:
         proximal, distal = (math.radians(position_deg[axis]) for axis in self.axes)
         middle = PROXIMAL_LINK_M * np.array([math.sin(proximal), math.cos(proximal)])
         sine, cosine = math.sin(proximal + distal), math.cos(proximal + distal)
-        along, inward = DISTAL_LINK_M + _TEXEL_ALONG, PAD_OFFSET_M - _TEXEL_RECESS
+        along, inward = DISTAL_LINK_M + _TEXEL_ALONG, constants.PAD_OFFSET_M - _TEXEL_RECESS
         in_plane = middle + np.stack([along * sine + inward * cosine, along * cosine - inward * sine], axis=-1)
         moved = np.stack([in_plane, in_plane - middle])[..., ::-1] * (1.0, -1.0)
         points = self._base + in_plane @ plane + _TEXEL_ACROSS[:, None] * across
@@ -167,11 +148,11 @@ def _texels() -> tuple[FloatArray, FloatArray, FloatArray]:
     pitch = TEXEL_PITCH_MM * 1e-3
     row, column = np.divmod(np.arange(TEXELS), COLUMNS)
     across = (column - (COLUMNS - 1) / 2) * pitch
-    beyond = np.maximum(TIP_ROWS - row, 0) * pitch
+    beyond = np.maximum(constants.TIP_ROWS - row, 0) * pitch
     along = (row - (ROWS_DISTAL - 1) / 2) * pitch
-    recess = across**2 / (2 * PAD_CURVATURE_M) + along**2 / (2 * PAD_LENGTH_CURVATURE_M)
-    recess += beyond**2 / (2 * TIP_CURVATURE_M)
-    return -(TIP_MARGIN_M + row * pitch), across, recess
+    recess = across**2 / (2 * constants.PAD_CURVATURE_M) + along**2 / (2 * constants.PAD_LENGTH_CURVATURE_M)
+    recess += beyond**2 / (2 * constants.TIP_CURVATURE_M)
+    return -(constants.TIP_MARGIN_M + row * pitch), across, recess
 
 
 _TEXEL_ALONG, _TEXEL_ACROSS, _TEXEL_RECESS = _texels()
@@ -208,15 +189,15 @@ class ContainerWorld:
 
     shape, content, trial: as given; mass_kg: mass of all of it"""
 
-    def __init__(self, shape: ContainerShape, content: Content, trial: ContainerDraw) -> None:
+    def __init__(self, shape: ContainerShape, content: constants.Content, trial: ContainerDraw) -> None:
         self.shape, self.content, self.trial = shape, content, trial
         self._shell = shell_of(shape)
         level = trial.fill * shape.height_m
         self._patches = Patches.of(content, level - self._shell.patch_z_m, shape.half_m[0])
         self._gas = Gas(shape.volume_m3 - content.solid_share * shape.area_m2 * level, trial.warming_k)
         self.mass_kg = shape.wall_mass_kg + content.density_kg_m3 * shape.area_m2 * level
-        self._friction_n = TABLE_FRICTION * self.mass_kg * GRAVITY_M_S2
-        leaning = -content.lateral_ratio * content.density_kg_m3 * GRAVITY_M_S2
+        self._friction_n = constants.TABLE_FRICTION * self.mass_kg * constants.GRAVITY_M_S2
+        leaning = -content.lateral_ratio * content.density_kg_m3 * constants.GRAVITY_M_S2
         weight = leaning * self._shell.pressure_row(0.0, level, slope=True)
         self._bulge = trial.softness * self._shell.solve(weight[:, None])[:, 0]
         self._near_m = NEAR_M - float(self._shell.at_nodes(self._bulge).min())
@@ -381,7 +362,7 @@ class ContainerWorld:
         them"""
         before, count, patches = self._state, 2 * TEXELS, self._patches
         y, slid = before.y.copy(), before.slid_m
-        cover = PAD_STIFFNESS_PA_M * TEXEL_M2
+        cover = constants.PAD_STIFFNESS_PA_M * TEXEL_M2
         filled = count + np.arange(len(self._area) if patches.resist else 0)
         slips = 0.0  # the direction in which the table rubs, once the container does not stick
         for turn in range(NEWTON_STEPS):
@@ -427,7 +408,7 @@ class ContainerWorld:
     @staticmethod
     def _torque_slope(tangent: _Tangent, slope: FloatArray) -> FloatArray:
         """(4, 4) how the torques grow with the angles of the loaded axes [Nm/rad]."""
-        cover, own = PAD_STIFFNESS_PA_M * TEXEL_M2, slope[tangent.pressed]
+        cover, own = constants.PAD_STIFFNESS_PA_M * TEXEL_M2, slope[tangent.pressed]
         right = np.vstack([tangent.compliance @ (cover * own), cover * tangent.aside @ own])
         moved = np.linalg.solve(tangent.matrix, right)
         deeper = own + tangent.aside[:, None] * moved[-1] - moved[: len(own)]

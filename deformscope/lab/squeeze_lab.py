@@ -29,16 +29,7 @@ import numpy.typing as npt
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.lab.container_constants import (
-    CONTENTS,
-    GEAR_LOSS_PER_K,
-    NOISE_COUNTS,
-    PA_PER_COUNT,
-    PAD_DRIFT_PER_K,
-    TEXEL_GAIN_SD,
-    TORQUE_NM_PER_A,
-    WATER,
-)
+from deformscope.lab import container_constants as constants
 from deformscope.lab.container_shell import BOX, CYLINDER, ContainerShape
 from deformscope.lab.container_view import CAMERA, ContainerView
 from deformscope.lab.container_world import LOADED, SQUEEZING, ContainerDraw, ContainerWorld
@@ -119,22 +110,26 @@ class SqueezedContainer:
 
     def __init__(self, case: ContainerCase, clock: Clock, port: Port) -> None:
         """clock: that the hand's double runs on; port: the hand's port"""
-        if case.content not in CONTENTS:
-            raise InputError(f"a content of {', '.join(CONTENTS)}", repr(case.content))
+        if case.content not in constants.CONTENTS:
+            raise InputError(f"a content of {', '.join(constants.CONTENTS)}", repr(case.content))
         self.case, self._clock = case, clock
         self.shape, instance = container_of(case.container)
         self.draw = ContainerDraw.draw(self.shape, case.seed, instance, case.session, case.grasp)
-        self.world = ContainerWorld(self.shape, WATER if case.alike else CONTENTS[case.content], self.draw)
+        self.world = ContainerWorld(
+            self.shape, constants.WATER if case.alike else constants.CONTENTS[case.content], self.draw
+        )
         self.view = ContainerView(self.shape, self.world.nodes_m, self.draw.T_hand_container, case.camera)
         self._contact_ns: int | None = None
         self._speeds: list[tuple[int, float]] = []
         self.hand = SdhDouble(port)
         self.hand.place(OPEN_DEG)
         self.hand.press(self)
-        drift = 1.0 + PAD_DRIFT_PER_K * self.draw.room_k
+        drift = 1.0 + constants.PAD_DRIFT_PER_K * self.draw.room_k
         own = np.random.default_rng(0x19)  # the hand is always the same
-        self._gain = drift * (1.0 + TEXEL_GAIN_SD * own.standard_normal(self.world.pressure_pa.shape))
-        self.pads = DsaDouble(scene=self._felt, pa_per_count=PA_PER_COUNT, noise_counts=NOISE_COUNTS, seed=case.seed)
+        self._gain = drift * (1.0 + constants.TEXEL_GAIN_SD * own.standard_normal(self.world.pressure_pa.shape))
+        self.pads = DsaDouble(
+            scene=self._felt, pa_per_count=constants.PA_PER_COUNT, noise_counts=constants.NOISE_COUNTS, seed=case.seed
+        )
 
     def truth(self) -> ContainerTruth:
         """The simulated truth, up to now."""
@@ -172,8 +167,8 @@ class SqueezedContainer:
     ) -> Sequence[float]:
         """The hand's double presses the container (`deformscope_drivers.sdh.motion.Compliance`)."""
         warm_k = np.array([axis.temperature_c for axis in self.hand.motion.axes]) - AMBIENT_C
-        loss = self.draw.gear_loss + GEAR_LOSS_PER_K * (warm_k + self.draw.room_k)
-        torque_nm = np.array(TORQUE_NM_PER_A) * current_a * (1.0 - loss)
+        loss = self.draw.gear_loss + constants.GEAR_LOSS_PER_K * (warm_k + self.draw.room_k)
+        torque_nm = np.array(constants.TORQUE_NM_PER_A) * current_a * (1.0 - loss)
         before = np.array(position_deg)
         reached = self.world.reach_deg(before, np.array(wanted_deg), torque_nm, step_s)
         now_ns = self._clock() // CYCLE_NS * CYCLE_NS
@@ -208,7 +203,7 @@ class SqueezeLab:
             clock=self.clock,
         )
         self.pads = Dsa(
-            DsaConfig(port="simulated-pads", calibration=(PA_PER_COUNT,)),
+            DsaConfig(port="simulated-pads", calibration=(constants.PA_PER_COUNT,)),
             transport=MemoryTransport(self.simulated.pads, self.clock, "simulated pads"),
             clock=self.clock,
         )

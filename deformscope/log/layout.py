@@ -1,5 +1,5 @@
-"""Kinds of recordings, and what an experiment with devices adds to its recorder: the first views of a viewer, and those of
-results. Nothing here imports rerun before it is needed."""
+"""Kinds of recordings, and what an experiment with devices adds to its recorder: the first views, and those of results.
+Nothing here imports rerun before it is needed."""
 
 from __future__ import annotations
 

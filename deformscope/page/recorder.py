@@ -15,19 +15,7 @@ from deformscope.frames import HealthReport, NoteKind, SessionNote, Stream, host
 from deformscope.interruption import Interruption
 from deformscope.log.layout import RigLayout
 from deformscope.page.devices import ShownDevices
-from deformscope.page.server.messages import (
-    BeginEpisode,
-    DiscardPart,
-    EndEpisode,
-    KeepRecent,
-    Outcome,
-    PageCommand,
-    StartRecording,
-    StopRecording,
-    StopRun,
-    TareDevice,
-    WriteNote,
-)
+from deformscope.page.server import messages
 from deformscope.page.server.page_session import PageSession
 from deformscope.recording.lateness import RecordingError
 from deformscope.recording.losses import since
@@ -103,7 +91,7 @@ class EpisodeNotes:
         """Note that the file has ended before the episode."""
         self.episode = ""
 
-    def discard(self, command: DiscardPart) -> tuple[Outcome, str]:
+    def discard(self, command: messages.DiscardPart) -> tuple[messages.Outcome, str]:
         """Mark the recording, or its last episode, as not to be used."""
         if command.what == "recording":
             self.note("discard-recording", command.reason)
@@ -291,34 +279,34 @@ class PageRecorder:
 
     # As a page's run -------------------------------------------------------------------------------------------------
 
-    def handle(self, command: PageCommand) -> tuple[Outcome, str]:
+    def handle(self, command: messages.PageCommand) -> tuple[messages.Outcome, str]:
         """See `PageRun.handle`."""
         with self._lock:
             match command:
-                case StopRun():
+                case messages.StopRun():
                     self._ended.by = "from the page"
                     self._ended.set()
                     return "done", "it ends now"
-                case StartRecording():
+                case messages.StartRecording():
                     return self._start_file()
-                case StopRecording():
+                case messages.StopRecording():
                     return self._stop_file()
-                case KeepRecent():
+                case messages.KeepRecent():
                     return self._keep_recent()
-                case WriteNote():
+                case messages.WriteNote():
                     self._notes.note("note", command.text)
                     return "done", "noted"
-                case BeginEpisode():
+                case messages.BeginEpisode():
                     self._notes.begin(command.label)
                     self._enter()
                     return "done", f"episode {command.label} began"
-                case EndEpisode():
+                case messages.EndEpisode():
                     label = self._notes.end()
                     self._enter()
                     return "done", f"episode {label} ended"
-                case DiscardPart():
+                case messages.DiscardPart():
                     return self._notes.discard(command)
-                case TareDevice():
+                case messages.TareDevice():
                     return self._tare(command.device)
                 case _:
                     return "refused", "not while a rig is shown"
@@ -347,7 +335,7 @@ class PageRecorder:
             self._recent.add(notes)
         return notes
 
-    def _start_file(self) -> tuple[Outcome, str]:
+    def _start_file(self) -> tuple[messages.Outcome, str]:
         path = self._next_file()
         self._work.start("file", lambda: self._open_file(path))
         self._enter()
@@ -361,7 +349,7 @@ class PageRecorder:
             self._notes.enter_file()
             self._enter()
 
-    def _stop_file(self) -> tuple[Outcome, str]:
+    def _stop_file(self) -> tuple[messages.Outcome, str]:
         take = self._take
         assert take is not None
         self._notes.end()
@@ -386,7 +374,7 @@ class PageRecorder:
         self.summaries.append(summary)
         self.session.remark(f"recorded {summary.path} ({summary.bytes / 1e6:.1f} MB)")
 
-    def _keep_recent(self) -> tuple[Outcome, str]:
+    def _keep_recent(self) -> tuple[messages.Outcome, str]:
         assert self._recent is not None
         if self._source is None or self._recent.taken() is None:
             return "refused", "no data yet"
@@ -408,7 +396,7 @@ class PageRecorder:
         self._enter()
         return "begun", f"the last {held_s:.1f} s are written to {path}"
 
-    def _tare(self, name: str) -> tuple[Outcome, str]:
+    def _tare(self, name: str) -> tuple[messages.Outcome, str]:
         if name not in self.session.state.tares or self._source is None:
             return "refused", f"expected one of {', '.join(self.session.state.tares)}; got {name}"
         if name in self._work.busy:

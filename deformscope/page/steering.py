@@ -17,27 +17,10 @@ from deformscope.experiments.explore.explore import ExplorationStopped, NextMove
 from deformscope.interruption import Interruption
 from deformscope.page.devices import ShownDevices
 from deformscope.page.robot_page import RobotPage
-from deformscope.page.server.messages import (
-    ForceCurve,
-    NextPlace,
-    Outcome,
-    PageCommand,
-    PauseExploring,
-    StartExploring,
-    TouchAt,
-    TouchNext,
-    TouchPicked,
-    VetoTouch,
-)
+from deformscope.page.server import messages
 from deformscope.page.server.page_session import PageSession
 from deformscope.robot.supervisor import Fault
-from deformscope.stages.map.exploration import (
-    ExplorationStop,
-    PlannedTouch,
-    SteeringDecision,
-    TouchEstimate,
-    TouchForecast,
-)
+from deformscope.stages.map import exploration
 
 SURFACE_ENTITIES = ("surface", "observed", "asked", "target", "contacts", "table")
 """Entities on the surface in the view, below `SCENE`: a click on them selects a place of the surface."""
@@ -71,7 +54,7 @@ class PageSteering(RobotPage):
         self._compliance_m_per_n = compliance_m_per_n
         self._paused = paused
         self._touches = 0
-        self._plan: PlannedTouch | None = None
+        self._plan: exploration.PlannedTouch | None = None
         self._choice: Future[NextMove] | None = None
         self._confirm: Future[bool] | None = None
         super().__init__(session, ended, shown, "devices open and are checked")
@@ -90,7 +73,7 @@ class PageSteering(RobotPage):
 
     # As `Steering`, from the loop ------------------------------------------------------------------------------------
 
-    def choose(self, plan: PlannedTouch | None, touches: int) -> Future[NextMove]:
+    def choose(self, plan: exploration.PlannedTouch | None, touches: int) -> Future[NextMove]:
         """See `Steering.choose`."""
         with self._lock:
             self._by_hand = False
@@ -98,7 +81,7 @@ class PageSteering(RobotPage):
             place = None
             if plan is not None and plan.target_m is not None:
                 x_m, y_m = _floats(plan.target_m)
-                place = NextPlace(x_m, y_m, plan.reason)
+                place = messages.NextPlace(x_m, y_m, plan.reason)
             self.session.show(next_place=place)
             choice: Future[NextMove] = Future()
             if self._paused:
@@ -108,7 +91,7 @@ class PageSteering(RobotPage):
             self._enter()
             return choice
 
-    def confirm(self, forecast: TouchForecast) -> Future[bool]:
+    def confirm(self, forecast: exploration.TouchForecast) -> Future[bool]:
         """See `Steering.confirm`."""
         with self._lock:
             confirm: Future[bool] = Future()
@@ -129,7 +112,7 @@ class PageSteering(RobotPage):
         if not self._ended.is_set():
             return
         with self._lock:
-            stop = ExplorationStop(Fault.ASKED, self._ended.by or "while paused", "", "stop", self._touches)
+            stop = exploration.ExplorationStop(Fault.ASKED, self._ended.by or "while paused", "", "stop", self._touches)
             for waiting in (self._choice, self._confirm):
                 if waiting is not None and not waiting.done():
                     waiting.set_exception(ExplorationStopped(stop, self._clock()))
@@ -138,32 +121,32 @@ class PageSteering(RobotPage):
     def on_results(self, results: Sequence[object]) -> None:
         """Receives results of the loop."""
         for result in results:
-            if isinstance(result, TouchEstimate) and (curve := self.session.state.curve) is not None:
+            if isinstance(result, exploration.TouchEstimate) and (curve := self.session.state.curve) is not None:
                 near = np.hypot(result.xyz_m[0] - curve.x_m, result.xyz_m[1] - curve.y_m) < 1e-3
                 shown = add_measured(curve, result, self._compliance_m_per_n) if near else None
                 self.session.show(curve=shown)
-            elif isinstance(result, SteeringDecision) and result.kind == "held":
+            elif isinstance(result, exploration.SteeringDecision) and result.kind == "held":
                 with self._lock:
                     self._paused = True
                 self.session.remark(f"the touch was stopped, the arm is at rest: {result.reason}", bad=True)
 
     # As `PageRun`, from the server -----------------------------------------------------------------------------------
 
-    def _handle(self, command: PageCommand) -> tuple[Outcome, str]:
+    def _handle(self, command: messages.PageCommand) -> tuple[messages.Outcome, str]:
         match command:
-            case PauseExploring():
+            case messages.PauseExploring():
                 self._paused = True
                 self._enter()
                 return "done", "no further touch begins"
-            case StartExploring():
+            case messages.StartExploring():
                 return self._start()
-            case VetoTouch():
+            case messages.VetoTouch():
                 return self._take(NextMove("veto", self._planned_m()), "the planner looks for another place")
-            case TouchNext():
+            case messages.TouchNext():
                 return self._take(NextMove("touch", self._planned_m()), "planning")
-            case TouchAt():
+            case messages.TouchAt():
                 return self._take(NextMove("touch", np.array([command.x_m, command.y_m])), "planning")
-            case TouchPicked():
+            case messages.TouchPicked():
                 if not is_surface(command.entity):
                     return "refused", f"pick a place of the surface; that was {command.entity}"
                 return self._take(NextMove("touch", np.array(command.position_m[:2])), "planning")
@@ -172,7 +155,7 @@ class PageSteering(RobotPage):
 
     # Within ----------------------------------------------------------------------------------------------------------
 
-    def _start(self) -> tuple[Outcome, str]:
+    def _start(self) -> tuple[messages.Outcome, str]:
         if not self._agreed:
             self.session.ask(self._what, self._agree, self.session.remark)
             return "begun", "waits for a confirmation"
@@ -193,7 +176,7 @@ class PageSteering(RobotPage):
         assert self._plan.target_m is not None
         return self._plan.target_m
 
-    def _take(self, choice: NextMove, words: str) -> tuple[Outcome, str]:
+    def _take(self, choice: NextMove, words: str) -> tuple[messages.Outcome, str]:
         """Give the loop its requested answer."""
         if self._choice is None:
             return "refused", "a touch is planned or under way"
@@ -240,17 +223,19 @@ def is_surface(entity: str) -> bool:
     return entity.startswith(SCENE) and entity.removeprefix(SCENE).split("/")[0] in SURFACE_ENTITIES
 
 
-def curve_of(forecast: TouchForecast) -> ForceCurve:
+def curve_of(forecast: exploration.TouchForecast) -> messages.ForceCurve:
     """The force curve in the form that a page draws."""
     known = f"{forecast.touches} touches" if forecast.touches else "the prior of surfaces: no touch was made yet"
     x_m, y_m = _floats(forecast.xyz_m[:2])
     depth, low, high = (
         _floats(1e3 * depth_m) for depth_m in (forecast.depth_m, forecast.depth_low_m, forecast.depth_high_m)
     )
-    return ForceCurve(x_m, y_m, known, _floats(forecast.force_n), depth, low, high)
+    return messages.ForceCurve(x_m, y_m, known, _floats(forecast.force_n), depth, low, high)
 
 
-def add_measured(curve: ForceCurve, touch: TouchEstimate, compliance_m_per_n: float) -> ForceCurve:
+def add_measured(
+    curve: messages.ForceCurve, touch: exploration.TouchEstimate, compliance_m_per_n: float
+) -> messages.ForceCurve:
     """The force curve with the measured one: the dent without the arm's deflection, from contact to the largest
     force."""
     if not touch.usable:

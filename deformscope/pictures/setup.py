@@ -1,4 +1,4 @@
-"""Measurements of a rig's set-up, as pictures: residual of each measurement, and the offset of clocks."""
+"""Measurements of a rig's set-up, as pictures: residuals, the offset of clocks, and the compliance of an arm."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from deformscope.arrays import FloatArray
 from deformscope.pictures.figures import COLOURS, canvas, png_of
 from deformscope.pictures.report import Figure
+from deformscope.stages.poke.contact import ArmCompliance
 from deformscope.stages.setup.timing import TimeOffset
 
 
@@ -27,9 +28,9 @@ def off_figure(off: FloatArray, names: Sequence[str], unit: str, sd: float, *, e
     return Figure(png_of(drawn, 130), caption)
 
 
-def offset_figure(found: TimeOffset, device: str, beside: str) -> Figure:
+def offset_figure(found: TimeOffset, device: str, reference: str) -> Figure:
     """The posterior of the offset between two devices, and its interval."""
-    caption = f"Delay of {device} against {beside}"
+    caption = f"Delay of {device} against {reference}"
     drawn = canvas(5.2, 4.2, layout="constrained")
     axis = drawn.subplots()
     axis.plot(1e3 * found.offsets_s, found.density / 1e3, color=COLOURS[0])
@@ -40,3 +41,20 @@ def offset_figure(found: TimeOffset, device: str, beside: str) -> Figure:
     axis.grid(alpha=0.3)
     axis.legend()
     return Figure(png_of(drawn, 130), caption)
+
+
+def compliance_png(touches: Sequence[ArmCompliance], concluded: ArmCompliance) -> bytes:
+    """Compliance [mm/N] over the touches, with one deviation up and down."""
+    figure = canvas(5.2, 4.2, layout="constrained")
+    axis = figure.subplots()
+    number = np.arange(1, len(touches) + 1)
+    each = [1e3 * one.compliance_m_per_n for one in touches]
+    spread = [1e3 * one.compliance_sd for one in touches]
+    mean, sd = 1e3 * concluded.compliance_m_per_n, 1e3 * concluded.compliance_sd
+    axis.errorbar(number, each, yerr=spread, fmt="o", capsize=5, color="tab:blue", label="touch")
+    axis.axhspan(mean - sd, mean + sd, color="tab:orange", alpha=0.3, label=f"{mean:.3f} ± {sd:.3f} mm/N")
+    axis.set_xticks(number)
+    axis.set(xlabel="touch", ylabel="compliance [mm/N]", ylim=(0.0, 1.5 * max(*each, mean + sd)))
+    axis.grid(alpha=0.3)
+    axis.legend()
+    return png_of(figure, 130)

@@ -22,8 +22,8 @@ from deformscope.experiments.rig.arm_compliance import (
 )
 from deformscope.interruption import until_interrupted
 from deformscope.log.findings import RigFindings
-from deformscope.pictures.compliance import compliance_png
 from deformscope.pictures.report import Figure
+from deformscope.pictures.setup import compliance_png
 from deformscope.plain import plain
 from deformscope.runs.opened_devices import LAB, Opening, setup_of
 from deformscope.runs.rig_calibration import RigCalibrationResult, write_values

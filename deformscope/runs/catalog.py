@@ -200,7 +200,7 @@ def catalog_page(
 
 def serve_page(found: CatalogResult, workers: int | None = None, progress: Progress | None = None) -> str:
     """Serve that page: a click plays the recording. Its address."""
-    from deformscope.page.catalog_page import serve_catalog
+    from deformscope.page.playback import serve_catalog
 
     html = catalog_page(found, served=True, workers=workers, progress=progress)
     paths = [_file(found.folder, name) for name in found.table["path"].slice(0, PAGE_ROWS).to_pylist()]

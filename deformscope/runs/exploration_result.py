@@ -10,14 +10,7 @@ import numpy as np
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.experiments.explore.options import SHALLOW_M
-from deformscope.pictures.messages import (
-    counted,
-    format_claim,
-    format_failure,
-    format_regions,
-    format_stop,
-    format_travel,
-)
+from deformscope.pictures import messages
 from deformscope.pictures.report import Figure, Table
 from deformscope.plain import Json
 from deformscope.recording.losses import named
@@ -196,7 +189,7 @@ class ExplorationResult(LibraryResult):
         return np.empty((0, 0), np.int64) if self.estimate is None else self.estimate.labels
 
     def __repr__(self) -> str:
-        return f"<exploration of {self.scenario}: {self.verdict_text}, {counted(len(self.touches), 'touch')}>"
+        return f"<exploration of {self.scenario}: {self.verdict_text}, {messages.counted(len(self.touches), 'touch')}>"
 
     def as_json(self) -> Json:
         return to_json(self)
@@ -215,10 +208,10 @@ class ExplorationResult(LibraryResult):
         """The verdict with its probability, and other probable ones."""
         if self.estimate is None:
             return "none: no touch gave a map"
-        kind = format_regions(self.estimate)
+        kind = messages.format_regions(self.estimate)
         if self.verdict == "gradual":
             kind = "gradual: no regions, the stiffness changes smoothly"
-        return f"{kind} ({format_claim(self.verdict_probability)}{self._rival()})"
+        return f"{kind} ({messages.format_claim(self.verdict_probability)}{self._rival()})"
 
     def _rival(self) -> str:
         """The other probable verdict, if the verdict is uncertain; the verdict by stiffness, if the regions are
@@ -232,7 +225,7 @@ class ExplorationResult(LibraryResult):
             for count, share in (self.probability or {}).items()
             if count != given and (claimed is None or count == "gradual" or int(count) < claimed)
         )
-        words = count if count == "gradual" else counted(int(count), "region")
+        words = count if count == "gradual" else messages.counted(int(count), "region")
         if by_beta:
             return f"; by stiffness {words}, probability {share:.2f}"
         return f", {words} {share:.2f}; more touches decide" if share >= RIVAL else ""
@@ -253,7 +246,7 @@ class ExplorationResult(LibraryResult):
             )
         if (truth := self.truth) is not None and truth.iou is not None:
             off = "" if truth.boundary_m is None else f", border {100 * truth.boundary_m:.1f} cm off"
-            true = counted(truth.region_count, "region")
+            true = messages.counted(truth.region_count, "region")
             rows.append(("truth", f"{true}; IoU of map and truth {truth.iou:.3f}{off}"))
         elif truth is not None and not truth.region_count:
             rows.append(("truth", "no regions: the stiffness changes smoothly"))
@@ -262,10 +255,10 @@ class ExplorationResult(LibraryResult):
         if self.lumps is not None:
             rows += self.lumps.rows
         rows += self._missed_rows()
-        rows += [("failed", format_failure(one)) for one in self.failures]
+        rows += [("failed", messages.format_failure(one)) for one in self.failures]
         rows += [
-            ("touches", f"{len(self.touches)}, {format_travel(self.travel_m)}"),
-            ("ended", format_stop(self.stop_reason)),
+            ("touches", f"{len(self.touches)}, {messages.format_travel(self.travel_m)}"),
+            ("ended", messages.format_stop(self.stop_reason)),
             ("contact force", f"measured {self.measured_max_force_n:.2f} N" if self.recorded else self.force_text),
         ]
         if not self.recorded:
@@ -318,13 +311,13 @@ def format_betas(touches: Sequence[TouchEstimate]) -> str:
     values = [one.beta for one in touches if one.beta is not None]
     low, high = min(values), max(values)
     span = f"{low:.2f}" if f"{low:.2f}" == f"{high:.2f}" else f"{low:.2f} to {high:.2f}"
-    every = f"{span} in {counted(len(values), 'touch')}"
+    every = f"{span} in {messages.counted(len(values), 'touch')}"
     if high <= BOUNDS[0] or low >= BOUNDS[1]:
         return f"{every}, the end of its range: beta does not distinguish the touched places"
     bound = sum(one.beta_verdict == "at-bound" for one in touches)
     if bound:
         why = "as expected of linear foam, whose beta is the same at any stiffness; regions are decided by stiffness"
-        return f"{every}, {why} (interval at the end of its range: {counted(bound, 'touch')})"
+        return f"{every}, {why} (interval at the end of its range: {messages.counted(bound, 'touch')})"
     return every
 
 

@@ -305,14 +305,7 @@ def _for_page(result: object) -> bool:
 
 def _remarks(result: object, made: int, budget: int, spent_s: float) -> Iterator[str]:
     """Printed lines of a result. made: touches so far, of `budget` at most; spent_s: on them [s]"""
-    from deformscope.pictures.messages import (
-        format_claim,
-        format_failure,
-        format_inclusions,
-        format_iou,
-        format_stop,
-        format_verdict,
-    )
+    from deformscope.pictures import messages
     from deformscope.stages.map.exploration import (
         InclusionsResult,
         MapEstimate,
@@ -325,7 +318,8 @@ def _remarks(result: object, made: int, budget: int, spent_s: float) -> Iterator
 
     if isinstance(result, PlannedTouch) and budget:
         if result.target_m is None or result.stop_reason:
-            yield f"no further touch: {format_stop(result.stop_reason) if result.stop_reason else result.reason}"
+            why = messages.format_stop(result.stop_reason) if result.stop_reason else result.reason
+            yield f"no further touch: {why}"
         else:
             left = f"; about {spent_s / made * (budget - made):.0f} s left for all {budget}" if made else ""
             yield f"touch {made + 1} of at most {budget}, at {_cm(result.target_m)} cm: {result.reason}{left}"
@@ -341,14 +335,14 @@ def _remarks(result: object, made: int, budget: int, spent_s: float) -> Iterator
             at = "" if result.speed_m_s is None else f", detected at {1e3 * result.speed_m_s:.2g} mm/s"
             yield f"  creep{at}: {result.creep.text}"
     elif isinstance(result, MapEstimate):
-        truth = f", {format_iou(result)}" if format_iou(result) else ""
-        yield f"  map so far: {format_verdict(result)} ({format_claim(result.claimed)}){truth}"
+        truth = f", {messages.format_iou(result)}" if messages.format_iou(result) else ""
+        yield f"  map so far: {messages.format_verdict(result)} ({messages.format_claim(result.claimed)}){truth}"
     elif isinstance(result, InclusionsResult):
         smallest = f"{100.0 * result.smallest_m:g} cm radius or more"
         missed = f"is missed with a probability of {result.missed_smallest:.1%}"
-        yield f"  {format_inclusions(result)}; one of {smallest} {missed}"
+        yield f"  {messages.format_inclusions(result)}; one of {smallest} {missed}"
     elif isinstance(result, StageFailure):
-        yield f"deformscope: {format_failure(result)}"
+        yield f"deformscope: {messages.format_failure(result)}"
 
 
 def _cm(xy_m: Any) -> str:

@@ -16,22 +16,9 @@ import numpy as np
 from deformscope.arrays import ImageArray
 from deformscope.config import MaterialOptions, OutputOptions, ViscousConfig, YieldConfig
 from deformscope.errors import InputError
+from deformscope.experiments.fit import material_motion
 from deformscope.experiments.fit.calibration_inputs import images_of, mask_of, opened_images, particle_options
 from deformscope.experiments.fit.foam_video import ParticleOptions
-from deformscope.experiments.fit.material_motion import (
-    MaterialEstimate,
-    MaterialFit,
-    UnloadingOptions,
-    axes_of_pairs,
-    field_of_pair,
-    material_files,
-    material_video,
-    pose_of,
-    recovery_of_camera,
-    recovery_of_motion,
-    yield_of_camera,
-    yield_of_motion,
-)
 from deformscope.experiments.fit.whole_motion import TrackedMotion
 from deformscope.file_io import ending_of, read_file
 from deformscope.files.motions import parse_motion
@@ -69,7 +56,7 @@ FREE_SHARE = 0.05
 RAW_FILES = {"axes": ("pair", "a pair file (.npz)"), "yield": ("motion", "a motion file (.npz)")}
 RAW_FILES["viscous"] = RAW_FILES["yield"]
 RAW_FILES["field"] = RAW_FILES["axes"]
-KINDS: dict[str, type[MaterialEstimate]] = {
+KINDS: dict[str, type[material_motion.MaterialEstimate]] = {
     "axes": AxisEstimate,
     "field": FieldEstimate,
     "yield": YieldEstimate,
@@ -126,10 +113,10 @@ class MaterialResult(SourceResult):
 
     estimate: the numbers; found: the compared motion"""
 
-    found: MaterialFit
+    found: material_motion.MaterialFit
 
     @property
-    def estimate(self) -> MaterialEstimate:
+    def estimate(self) -> material_motion.MaterialEstimate:
         """The numbers."""
         return self.found.estimate
 
@@ -208,13 +195,13 @@ def run_material_images(
     """Fit the material to one sequence of files, a sample or a recording. mask: (H, W) [px], 0 = not the body"""
     assert job.particles is not None
     used = {**settings, "material": dataclasses.asdict(job)}
-    unloading = UnloadingOptions(job.released, job.at, force)
+    unloading = material_motion.UnloadingOptions(job.released, job.at, force)
     with images_recorder(source, mask, used, output) as recorder:
         if force is not None:
             arrays = arrays_bytes(time_s=force.time_s, force_n=force.force_n, zero_sd_n=force.zero_sd_n)
             recorder.write(InputFile(FORCE_FILE, arrays))
         find = _finder(job, job.particles, unloading, progress)
-        experiment = material_video(job.particles, find, None if mask is None else clean_mask(mask))
+        experiment = material_motion.material_video(job.particles, find, None if mask is None else clean_mask(mask))
         found = run(frames_of(source, progress), experiment, recorder)
         result = MaterialResult(
             found, name=source.name, problems=tuple(source.problems()), settings=used, seed=job.seed
@@ -240,44 +227,46 @@ def run_material_files(
     parse: Callable[..., Any] = parse_pair if kind == "pair" else parse_motion
     seen = parse_files(parse, raws, job.noise_m, note)
     with pair_recorder(seen, raws, used, output) as recorder:
-        found = run((), material_files(lambda: _of_files(seen, job, progress)), recorder)
+        found = run((), material_motion.material_files(lambda: _of_files(seen, job, progress)), recorder)
         name = ", ".join(name for name, _ in raws)
         result = MaterialResult(found, name=name, settings=used, seed=job.seed)
         recorder.write(Step((result.findings(),), frame=0))
     return dataclasses.replace(result, recording=recorder.summary())
 
 
-def _of_pairs(seen: Sequence[Observation], job: MaterialJob, progress: Progress | None) -> MaterialFit:
+def _of_pairs(seen: Sequence[Observation], job: MaterialJob, progress: Progress | None) -> material_motion.MaterialFit:
     if job.find == "field":
         one = seen[0] if job.force_n is None else dataclasses.replace(seen[0], force_n=job.force_n)
-        return field_of_pair(one, job.level, job.seed, job.device, progress)
-    return axes_of_pairs(seen, job.model(), job.directions(seen[0].rest.shape[1]), job.level, job.seed, progress)
+        return material_motion.field_of_pair(one, job.level, job.seed, job.device, progress)
+    return material_motion.axes_of_pairs(
+        seen, job.model(), job.directions(seen[0].rest.shape[1]), job.level, job.seed, progress
+    )
 
 
-def _of_files(seen: Sequence[Any], job: MaterialJob, progress: Progress | None) -> MaterialFit:
+def _of_files(seen: Sequence[Any], job: MaterialJob, progress: Progress | None) -> material_motion.MaterialFit:
     """seen: pairs, or one motion"""
     if job.find == "yield":
-        return yield_of_motion(seen[0], job.yield_options(), progress)
+        return material_motion.yield_of_motion(seen[0], job.yield_options(), progress)
     if job.find == "viscous":
-        return recovery_of_motion(seen[0], job.level, job.seed)
+        return material_motion.recovery_of_motion(seen[0], job.level, job.seed)
     return _of_pairs(seen, job, progress)
 
 
 def _finder(
-    job: MaterialJob, particles: ParticleOptions, unloading: UnloadingOptions, progress: Progress | None
-) -> Callable[[TrackedMotion], MaterialFit]:
-    def pose(tracked: TrackedMotion) -> MaterialFit:
-        frame, seen = pose_of(tracked, particles, job.frame)
+    job: MaterialJob, particles: ParticleOptions, unloading: material_motion.UnloadingOptions, progress: Progress | None
+) -> Callable[[TrackedMotion], material_motion.MaterialFit]:
+    def pose(tracked: TrackedMotion) -> material_motion.MaterialFit:
+        frame, seen = material_motion.pose_of(tracked, particles, job.frame)
         found = _of_pairs([seen], job, progress)
         settings = found.estimate.settings | {"frame": frame, "frames": len(tracked.history)}
         estimate = dataclasses.replace(found.estimate, settings=settings)
-        return MaterialFit(estimate, ((frame, found.comparisons[0][1]),))
+        return material_motion.MaterialFit(estimate, ((frame, found.comparisons[0][1]),))
 
-    def yielding(tracked: TrackedMotion) -> MaterialFit:
-        return yield_of_camera(tracked, particles, unloading, job.yield_options(), progress)
+    def yielding(tracked: TrackedMotion) -> material_motion.MaterialFit:
+        return material_motion.yield_of_camera(tracked, particles, unloading, job.yield_options(), progress)
 
-    def viscous(tracked: TrackedMotion) -> MaterialFit:
-        return recovery_of_camera(tracked, particles, unloading, job.level, job.seed)
+    def viscous(tracked: TrackedMotion) -> material_motion.MaterialFit:
+        return material_motion.recovery_of_camera(tracked, particles, unloading, job.level, job.seed)
 
     return {"axes": pose, "field": pose, "yield": yielding, "viscous": viscous}[job.find]
 
@@ -348,14 +337,14 @@ def kept_force(recording: Replay) -> PressForce | None:
 
 def replay_material(
     recording: Replay, source: Source, output: OutputOptions, *, progress: Progress | None = None
-) -> tuple[list[MaterialEstimate], MaterialResult]:
+) -> tuple[list[material_motion.MaterialEstimate], MaterialResult]:
     """The recorded result, and a new fit to the recorded data. source: its images"""
     settings = dict(recording.settings)
     try:
         job = msgspec.convert(settings.pop("material"), MaterialJob)
     except msgspec.ValidationError as error:
         raise InputError("a recording of this version", f"other settings ({error})", where=recording.path) from error
-    recorded: list[MaterialEstimate] = read_found(recording, KINDS[job.find])
+    recorded: list[material_motion.MaterialEstimate] = read_found(recording, KINDS[job.find])
     if job.device != "cpu":  # the recording's GPU may not be here
         job = dataclasses.replace(job, device=pick_device("auto"))
     if job.particles is None:

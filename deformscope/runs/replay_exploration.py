@@ -30,14 +30,7 @@ def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer
     the recorded ones"""
     import msgspec
 
-    from deformscope.experiments.explore.explore import (
-        AtOnce,
-        Exploration,
-        RecordedRobot,
-        RecordedSteering,
-        explore,
-        within_loop,
-    )
+    from deformscope.experiments.explore import explore
     from deformscope.experiments.explore.explorer import ExplorationStages, UnseenSurface
     from deformscope.experiments.explore.options import ExploreOptions
     from deformscope.experiments.explore.recorded_touches import recorded_inputs
@@ -46,15 +39,7 @@ def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer
     from deformscope.pictures.messages import format_failure
     from deformscope.recording.items import read_results, read_series
     from deformscope.session import run
-    from deformscope.stages.map.exploration import (
-        InclusionsResult,
-        MapEstimate,
-        PlannedTouch,
-        StageFailure,
-        SteeringDecision,
-        SurfaceEstimate,
-        TouchEstimate,
-    )
+    from deformscope.stages.map import exploration
     from deformscope.stages.map.force_pose import ForcePose
     from deformscope.stages.map.measured import SurfaceMeasurement
     from deformscope.stages.map.perception import LookPerception, TouchPerception
@@ -66,21 +51,29 @@ def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer
     thesis = {"thesis": dataclasses.replace(before.thesis, **own)}
     options = dataclasses.replace(before, **{name: changes[name] for name in changes.keys() - own.keys()} | thesis)
     geometry = SetupGeometry.from_json(settings.get("setup", {}))
-    kinds: tuple[type, ...] = (SurfaceEstimate, PlannedTouch, TouchEstimate, MapEstimate, InclusionsResult)
+    kinds: tuple[type, ...] = (
+        exploration.SurfaceEstimate,
+        exploration.PlannedTouch,
+        exploration.TouchEstimate,
+        exploration.MapEstimate,
+        exploration.InclusionsResult,
+    )
     if not changes:
         kinds = (*kinds, LookPerception, TouchPerception)
     rows = list(read_results(path, kinds, trust=True))
     recorded = [row.item for row in rows]
-    failed = [row.item for row in read_results(path, (StageFailure,), trust=True)]
+    failed = [row.item for row in read_results(path, (exploration.StageFailure,), trust=True)]
     given = recorded_inputs(path)
     measured = bool(given) and isinstance(given[0], SurfaceMeasurement)
     failed_before = [] if changes else failed
     unseen = UnseenSurface(geometry.size_m, options, geometry.arm, failed=failed_before, error=geometry.touch_error)
     stages = ExplorationStages(unseen, AsMeasured(geometry.size_m) if measured else FromFrames(geometry, options))
-    computed, found = _Heard(), Exploration()
-    steering = RecordedSteering([row.item for row in read_results(path, (SteeringDecision,), trust=True)])
-    explored = explore(lambda: 0, within_loop(stages), found, steering=steering)
-    run([], explored, computed, AtOnce(RecordedRobot(given)))
+    computed, found = _Heard(), explore.Exploration()
+    steering = explore.RecordedSteering(
+        [row.item for row in read_results(path, (exploration.SteeringDecision,), trust=True)]
+    )
+    explored = explore.explore(lambda: 0, explore.within_loop(stages), found, steering=steering)
+    run([], explored, computed, explore.AtOnce(explore.RecordedRobot(given)))
     again = [one for one in computed.results if isinstance(one, kinds)]
     if changes:
         if page is not None:
@@ -133,15 +126,15 @@ def _beside(
 ) -> ReplayResult:
     """Results of other settings, with the recorded ones; the robot touched the recorded places."""
     from deformscope.pictures.messages import format_claim, format_verdict
-    from deformscope.stages.map.exploration import MapEstimate, TouchEstimate
+    from deformscope.stages.map import exploration
 
     def rows(results: list[Any]) -> dict[str, str]:
         found = {}
         for one in results:
-            if isinstance(one, TouchEstimate):
+            if isinstance(one, exploration.TouchEstimate):
                 beta = "no beta" if one.beta is None else f"beta {one.beta:.2f}"
                 found[f"touch {one.number}"] = f"{one.stiffness_text} ({one.interval_text}), {beta}"
-            elif isinstance(one, MapEstimate):
+            elif isinstance(one, exploration.MapEstimate):
                 found["map"] = f"{format_verdict(one)} ({format_claim(one.claimed)})"
         return found
 

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from deformscope.files.squeeze_dataset import SqueezeDataset, TrialEntry
     from deformscope.interruption import Interruption
     from deformscope.page.devices import ShownDevices
+    from deformscope.page.robot_page import PageSqueezing
     from deformscope.page.server.page_session import PageSession
-    from deformscope.page.squeezing import PageSqueezing
     from deformscope.recording.recorder import Recorder
     from deformscope.robot.checks import Preflight
     from deformscope.robot.squeeze_setup import SqueezeSetup
@@ -126,7 +126,7 @@ def squeeze_on(config: SqueezeConfig, report: Callable[[SqueezeResult], None]) -
     )
     report(result)
     if recorder.page is not None:
-        from deformscope.page.squeezing import show_squeezed
+        from deformscope.page.robot_page import show_squeezed
 
         show_squeezed(recorder.page.session, result.rows())
     return SqueezeOutcome(result, asked)
@@ -155,7 +155,7 @@ def _run(
     names, geometry = setup.names, SqueezeGeometry.of(setup)
 
     def squeezing(session: PageSession, shown: ShownDevices) -> PageSqueezing:
-        from deformscope.page.squeezing import PageSqueezing
+        from deformscope.page.robot_page import PageSqueezing
 
         return PageSqueezing(session, asked, shown)
 

@@ -20,7 +20,7 @@ from deformscope.cli import main
 from deformscope.cli.sweep import find_sources
 from deformscope.config import SweepConfig
 from deformscope.executor.local import open_workers
-from deformscope.page.catalog_page import serve_catalog
+from deformscope.page.playback import serve_catalog
 from deformscope.recording.ledger import add_discard
 from deformscope.runs.catalog import catalogue
 from tests.cases import Capture, Patch, slow

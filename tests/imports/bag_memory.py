@@ -12,7 +12,7 @@ import numpy as np
 from mcap.writer import CompressionType
 from mcap_ros2.writer import Writer
 
-from deformscope.recording.export.ros_messages import definition
+from deformscope.recording.export.mcap import definition
 from tests.imports.test_importing import MEMORY
 
 SIZE_PX, HZ = (1200, 1920), 30

@@ -22,7 +22,7 @@ def write_bag(path: Path, stamp_s: Callable[[int], float], *, count: int = COUNT
     stamps of a second sensor differ"""
     writers = pytest.importorskip("mcap_ros2.writer")
     pytest.importorskip("rosbags")
-    from deformscope.recording.export.ros_messages import definition
+    from deformscope.recording.export.mcap import definition
 
     with path.open("wb") as file:
         writer = writers.Writer(file)

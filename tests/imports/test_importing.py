@@ -271,7 +271,7 @@ def own_order(own: dict[str, Any]) -> list[str]:
 def test_an_mcap_of_the_usual_writer_becomes_frames(tmp_path: Path) -> None:
     writers = pytest.importorskip("mcap_ros2.writer")
     pytest.importorskip("rosbags")
-    from deformscope.recording.export.ros_messages import definition
+    from deformscope.recording.export.mcap import definition
 
     path = tmp_path / "other.mcap"
     with path.open("wb") as file:

@@ -7,9 +7,9 @@ import pytest
 
 from deformscope.interruption import Interruption
 from deformscope.page.devices import ShownDevices
+from deformscope.page.robot_page import PageSqueezing
 from deformscope.page.server.messages import ConfirmMove, StartSqueezing, StopRun
 from deformscope.page.server.page_session import PageSession
-from deformscope.page.squeezing import PageSqueezing
 from deformscope.recording.items import read_results
 from deformscope.runs.skeleton import Watch
 from deformscope.stages.squeeze.trial import SqueezePhase, SqueezeStop

@@ -16,20 +16,13 @@ import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.errors import InputError
+from deformscope.experiments.explore import touch_fit
 from deformscope.experiments.explore.beta_fit import BetaEstimate, fit_beta, touch_surface
-from deformscope.experiments.explore.forecast import forecast_touch
 from deformscope.experiments.explore.options import ExploreOptions
 from deformscope.experiments.explore.robot_geometry import Geometry, Touch
 from deformscope.experiments.explore.search import SurfaceSearch
 from deformscope.experiments.explore.seen_surface import SeenSurface
-from deformscope.experiments.explore.touch_fit import (
-    TouchContact,
-    fit_contact,
-    fit_touch_creep,
-    levelled,
-    off_seen_m,
-    touch_estimate,
-)
+from deformscope.experiments.explore.touch_fit import forecast_touch
 from deformscope.processes import release_memory
 from deformscope.robot.setup import Truth
 from deformscope.robot.travel import NotThere
@@ -364,12 +357,12 @@ class Explorer:
         before = self.touches[-1].xyz_m[:2] if self.touches else np.zeros(2)
         self.travel_m += float(np.hypot(*(touched.xy_m - before)))
         contact = self._stage(
-            "contact", lambda: fit_contact(approach, self.surface, self.search, self._arm, self._gain_sd)
+            "contact", lambda: touch_fit.fit_contact(approach, self.surface, self.search, self._arm, self._gain_sd)
         )
         creep, search, sample, self._trained = None, None, None, None
         if contact is not None:
             if not contact.fit.rigid:
-                creep = self._stage("creep", lambda: fit_touch_creep(touched, self.surface, self._arm))
+                creep = self._stage("creep", lambda: touch_fit.fit_touch_creep(touched, self.surface, self._arm))
             contact, sample = self._sample(approach, contact, creep)
             if sample is not None:
                 search = self._stage("regions", partial(self.search.with_touch, sample))
@@ -380,7 +373,7 @@ class Explorer:
         else:
             self.search = search
         estimate = self._estimate(approach, contact, creep)
-        self._off_seen_m = max(self._off_seen_m, off_seen_m(approach, estimate, self.options.tip_radius_m))
+        self._off_seen_m = max(self._off_seen_m, touch_fit.off_seen_m(approach, estimate, self.options.tip_radius_m))
         self.touches.append(estimate)
         maps = None if search is None else self._stage("maps", self._maps)
         self._without_map = self._without_map + 1 if maps is None else 0
@@ -391,7 +384,7 @@ class Explorer:
         return AfterTouch(estimate, maps, found, self._perception(touched, contact, sample))
 
     def _perception(
-        self, touched: TouchMeasurement, contact: TouchContact | None, sample: StiffnessSample | None
+        self, touched: TouchMeasurement, contact: touch_fit.TouchContact | None, sample: StiffnessSample | None
     ) -> TouchPerception | None:
         """Perception of the newest touch, with the training data of its maps; None unless requested."""
         options, beta = self.options, self.betas[-1]
@@ -412,8 +405,8 @@ class Explorer:
         )
 
     def _sample(
-        self, touched: TouchMeasurement, contact: TouchContact, creep: CreepFit | None
-    ) -> tuple[TouchContact, StiffnessSample | None]:
+        self, touched: TouchMeasurement, contact: touch_fit.TouchContact, creep: CreepFit | None
+    ) -> tuple[touch_fit.TouchContact, StiffnessSample | None]:
         """A touch's sample for the map, None without the mapped quantity; and its contact, on the level layer."""
         felt = self.search.sample(touched.xy_m, contact.fit)
         stiffness = self._stage("creep", lambda: self._quantity.stiffness(felt, creep, contact.speed_m_s))
@@ -423,11 +416,11 @@ class Explorer:
         if not contact.fit.rigid:
             shift = self.surface.shift(touched.xy_m, float(np.exp(stiffness.log_stiffness)))
         if shift is not None:
-            stiffness, contact = levelled(stiffness, shift), contact.on_level_layer(shift, self.surface)
+            stiffness, contact = touch_fit.levelled(stiffness, shift), contact.on_level_layer(shift, self.surface)
         return contact, stiffness
 
     def _estimate(
-        self, touched: TouchMeasurement, contact: TouchContact | None, creep: CreepFit | None
+        self, touched: TouchMeasurement, contact: touch_fit.TouchContact | None, creep: CreepFit | None
     ) -> TouchEstimate:
         aimed = self._stage("surface", lambda: self.surface.aim(touched.xy_m))
         beta = BetaEstimate("not fitted: no contact")
@@ -438,7 +431,7 @@ class Explorer:
         self.betas.append(beta)
         if beta.value is not None:
             self.search = self.search.with_beta(beta.dented_m, beta.value)
-        return touch_estimate(
+        return touch_fit.touch_estimate(
             touched,
             number=len(self.touches) + 1,
             height_m=None if aimed is None else aimed[0],

@@ -1,7 +1,8 @@
-"""How to explore: the options, common lengths, and the strategies that the options choose."""
+"""How to explore: the options, common lengths, the mapped quantity, and the strategies that the options choose."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 from typing import Literal
@@ -12,15 +13,64 @@ from deformscope.arrays import FloatArray
 from deformscope.config import flags
 from deformscope.config.explore import BORDER_M, BetaModel, ExploreFlags
 from deformscope.errors import InputError
-from deformscope.experiments.explore.quantity import ApparentStiffness, RelaxedStiffness, StiffnessAtReferenceSpeed
 from deformscope.experiments.explore.search import InclusionSearch, RegionSearch, SurfaceSearch, ThesisSearch
 from deformscope.stages.map.inclusion_posterior import InclusionPosterior, InclusionPrior
 from deformscope.stages.map.plan import INCLUSION_M, PlanOptions
 from deformscope.stages.map.thesis import ThesisField
+from deformscope.stages.poke.creep import REFERENCE_SPEED_M_S, CreepFit
 from deformscope.stages.regions.levels import RegionPrior
 from deformscope.stages.regions.posterior import RegionPosterior
-from deformscope.stages.regions.touch_error import TouchErrorModel
-from deformscope.stages.regions.touches import MapGrid
+from deformscope.stages.regions.touch_error import LAW_SD, TouchErrorModel
+from deformscope.stages.regions.touches import MapGrid, StiffnessSample
+
+SPEED_SD = 0.03
+"""Change of log stiffness for each e-fold of the approach speed, for touches without a fitted creep. Assumed: a third
+of the modulus relaxes evenly over three decades of time."""
+
+
+class ApparentStiffness:
+    """Stiffness of each touch during its approach, at its own speed."""
+
+    def stiffness(
+        self, felt: StiffnessSample, creep: CreepFit | None, speed_m_s: float | None
+    ) -> StiffnessSample | None:
+        """The stiffness with which touches are compared; None if the touch does not determine it.
+
+        felt: the stiffness of the contact; creep: the touch's creep, None if it was not fitted; speed_m_s: speed of the
+        approach in contact, None where it is not known"""
+        return felt
+
+
+class StiffnessAtReferenceSpeed(ApparentStiffness):
+    """Stiffness at the reference speed of approach: of touches with measured creep."""
+
+    def stiffness(
+        self, felt: StiffnessSample, creep: CreepFit | None, speed_m_s: float | None
+    ) -> StiffnessSample | None:
+        if felt.rigid:
+            return felt
+        if creep is None:  # how much it would creep is not known
+            speed_m_s = REFERENCE_SPEED_M_S if speed_m_s is None else max(speed_m_s, 1e-4)
+            away = SPEED_SD * abs(float(np.log(speed_m_s / REFERENCE_SPEED_M_S)))
+            return dataclasses.replace(felt, log_sd=float(np.hypot(felt.log_sd, away)))
+        log_stiffness = felt.log_stiffness + creep.log_at_reference
+        log_sd = float(np.hypot(felt.log_sd, creep.log_at_reference_sd))
+        return dataclasses.replace(felt, log_stiffness=log_stiffness, log_sd=log_sd)
+
+
+class RelaxedStiffness(ApparentStiffness):
+    """Stiffness after complete relaxation."""
+
+    def stiffness(
+        self, felt: StiffnessSample, creep: CreepFit | None, speed_m_s: float | None
+    ) -> StiffnessSample | None:
+        if felt.rigid or creep is None:
+            return felt if felt.rigid else None
+        if creep.relaxed_n_per_mm is None or creep.relaxed_log_sd is None:
+            raise InputError("a relaxed stiffness", creep.reasons[0].text, "a longer `hold_s`, or feel=apparent")
+        log_sd = float(np.hypot(creep.relaxed_log_sd, LAW_SD))
+        return dataclasses.replace(felt, log_stiffness=float(np.log(creep.relaxed_n_per_mm)), log_sd=log_sd)
+
 
 SECOND_FORCE_N, SECOND_SHARE = 5.0, 5.0 / 3.0
 SHALLOW_M = 0.002

@@ -19,19 +19,12 @@ from deformscope.stages.fit.estimate import Comparison, NoiseSource
 from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.fit.motion import Motion
 from deformscope.stages.fit.search import Progress
+from deformscope.stages.materials import press_cycle
 from deformscope.stages.materials.anisotropy import fit_axes
 from deformscope.stages.materials.axis_estimate import AxisEstimate
 from deformscope.stages.materials.field import fit_field
 from deformscope.stages.materials.field_estimate import FieldEstimate
 from deformscope.stages.materials.plasticity import fit_yield, simulate_yielding
-from deformscope.stages.materials.press_cycle import (
-    PressCycle,
-    PressForce,
-    course_of,
-    find_cycle,
-    frames_to_fit,
-    share_of_push,
-)
 from deformscope.stages.materials.recovery import RecoveryEstimate, fit_recovery
 from deformscope.stages.materials.yield_estimate import YieldEstimate
 from deformscope.stages.materials.yield_history import YieldOptions
@@ -51,7 +44,7 @@ class UnloadingOptions:
 
     released: tuple[str, ...] = ("contact",)
     at: tuple[int, int] | None = None
-    force: PressForce | None = None
+    force: press_cycle.PressForce | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +115,7 @@ def pose_of(tracked: TrackedMotion, particles: ParticleOptions, frame: int | Non
 
 def camera_motion(
     tracked: TrackedMotion, particles: ParticleOptions, unloading: UnloadingOptions
-) -> tuple[Motion, PressCycle]:
+) -> tuple[Motion, press_cycle.PressCycle]:
     """All frames, the first one at rest among them, and the time of the release.
 
     Released parts count as held until the frame of the release. After that the particles count as not seen."""
@@ -143,8 +136,8 @@ def camera_motion(
     position[~seen] = np.nan
     rest = np.asarray(grid.rest_px, dtype=np.float64)
     noise = particles.noise_px or float(np.median(history[-1].noise_px[seen[-1]]))
-    cycle = find_cycle(
-        course_of(position - rest, pressed),
+    cycle = press_cycle.find_cycle(
+        press_cycle.course_of(position - rest, pressed),
         noise,
         time_s=np.asarray(tracked.times),
         force=unloading.force,
@@ -196,7 +189,7 @@ def yield_of_camera(
     """Some frames are fitted; the result is then simulated at every one."""
     motion, cycle = camera_motion(tracked, particles, unloading)
     time_s = np.asarray(tracked.times)
-    rows = frames_to_fit(cycle, MOST_FRAMES, between=options.creep != "none")
+    rows = press_cycle.frames_to_fit(cycle, MOST_FRAMES, between=options.creep != "none")
     fitted = some_frames(motion, rows, time_s)
     found = fit_yield(fitted, options, progress)
     settings = found.settings | {"unloading": cycle.as_json(), "fitted_frames": rows.tolist()}
@@ -235,9 +228,9 @@ def recovery_of_motion(motion: Motion, level: float, seed: int) -> MaterialFit:
         duration=np.append(motion.duration[0], motion.duration),
     )
     released = int(np.flatnonzero(whole.held[:, gone].any(axis=1))[-1]) + 1
-    course = course_of(whole.position - whole.rest, gone)
+    course = press_cycle.course_of(whole.position - whole.rest, gone)
     loaded = int(course[:released].argmax())
-    cycle = PressCycle(loaded, released, course, float(course[released] / course[loaded]), "given")
+    cycle = press_cycle.PressCycle(loaded, released, course, float(course[released] / course[loaded]), "given")
     return _recovery(whole, cycle, time_s, None, level, seed, first=-1)
 
 
@@ -251,15 +244,15 @@ def recovery_of_camera(
 
 def _recovery(
     motion: Motion,
-    cycle: PressCycle,
+    cycle: press_cycle.PressCycle,
     time_s: FloatArray,
-    force: PressForce | None,
+    force: press_cycle.PressForce | None,
     level: float,
     seed: int,
     first: int = 0,
 ) -> MaterialFit:
     moved = motion.position - motion.rest
-    amplitude, deepest, known = share_of_push(moved)
+    amplitude, deepest, known = press_cycle.share_of_push(moved)
     shape = moved[deepest, known]
     found = fit_recovery(
         time_s,

@@ -21,23 +21,11 @@ from deformscope.experiments.squeeze.squeezing_hand import HandWait, SqueezeEnde
 from deformscope.experiments.squeeze.tracking import container_model, seen_m
 from deformscope.frames import ArmFrame, DepthFrame, HandFrame, SessionNote
 from deformscope.rig.source import RigSource
+from deformscope.robot import placing as arm_placing
 from deformscope.robot.advice import advice, where_it_stands
 from deformscope.robot.checks import Check, Preflight
 from deformscope.robot.fingertip_force import FingertipForce
 from deformscope.robot.latch import Action
-from deformscope.robot.placing import (
-    APPROACH_M_S,
-    BEGINS_AT_IT,
-    TRIES,
-    GraspPlan,
-    NoGrasp,
-    Obstacle,
-    carry,
-    choose_grasp,
-    plan_checks,
-    strayed,
-    withdraw,
-)
 from deformscope.robot.preflight import check
 from deformscope.robot.robot import Robot, RobotStopped, TipVelocity
 from deformscope.robot.shape import link_capsules
@@ -79,14 +67,14 @@ the air may all read 0."""
 class CheckArm:
     """A command: run all checks before the arm moves; its answer is a `Preflight`."""
 
-    plan: GraspPlan
+    plan: arm_placing.GraspPlan
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Carry:
     """A command: bring the hand to the grasp. preflight: the preflight that passed"""
 
-    plan: GraspPlan
+    plan: arm_placing.GraspPlan
     preflight: Preflight
 
 
@@ -94,7 +82,7 @@ class Carry:
 class Withdraw:
     """A command: bring the hand back on the way it came."""
 
-    plan: GraspPlan
+    plan: arm_placing.GraspPlan
 
 
 class PlacingArm:
@@ -110,7 +98,7 @@ class PlacingArm:
         self._setup, self._placing, self._source = setup, setup.placing, source
         self._begin, self._cycled = begin, cycled
         self._made: Robot | None = None
-        self._placed: GraspPlan | None = None
+        self._placed: arm_placing.GraspPlan | None = None
         self._off = ""
         self.reached, self.stands = "", True
 
@@ -141,16 +129,16 @@ class PlacingArm:
                         return self._checked(robot, plan)
                     case Carry(plan, preflight):
                         robot.let_move(preflight)
-                        carry(robot, plan, self._entered)
+                        arm_placing.carry(robot, plan, self._entered)
                         self.reached, self._placed = "grasp", plan
                     case Withdraw(plan):
                         robot.cycle()
                         while not robot.seen.arms:  # its last pose may be of before the squeeze
                             robot.cycle()
-                        if off := self._off or strayed(robot, plan):
+                        if off := self._off or arm_placing.strayed(robot, plan):
                             raise self._stop("arm was moved", off, Fault.ASKED)
                         self._placed = None
-                        withdraw(robot, plan, self._entered)
+                        arm_placing.withdraw(robot, plan, self._entered)
                         self.reached = "retreat"
                     case _:
                         raise TypeError(f"no command of this robot: {command!r}")
@@ -173,7 +161,7 @@ class PlacingArm:
 
         def why() -> str:
             verdict = robot.look_on()
-            off = strayed(robot, plan) if robot.seen.arms else ""
+            off = arm_placing.strayed(robot, plan) if robot.seen.arms else ""
             now = off if verdict.action is Action.GO_ON else f"{verdict.fault}: {verdict.reason}"
             self._off = self._off or now
             return now
@@ -199,7 +187,7 @@ class PlacingArm:
         self.reached = phase
         self._begin(phase)
 
-    def _checked(self, robot: Robot, plan: GraspPlan) -> Preflight:
+    def _checked(self, robot: Robot, plan: arm_placing.GraspPlan) -> Preflight:
         found = check(robot, [], calibrated={}, ages=self._placing.ages)
         robot.supervisor.axes_frozen_s = np.full(3, STUCK_S)
         rows = [
@@ -210,7 +198,7 @@ class PlacingArm:
         felt = robot.supervisor.sees_collisions
         wanted = "joint torques or motor currents, which collisions are detected by"
         rows.append(Check("arm: collisions", felt, wanted, "reported" if felt else "none"))
-        return Preflight((*rows, *plan_checks(plan, robot)))
+        return Preflight((*rows, *arm_placing.plan_checks(plan, robot)))
 
     @contextlib.contextmanager
     def _stopping(self) -> Iterator[None]:
@@ -226,9 +214,9 @@ class PlacingArm:
                 verdict = robot.supervisor.verdict
                 # back along the hand, away from the contact
                 self._begin("back off")
-                back = -robot.placement.T_surface_center(robot.pose.T_base_ee)[:3, 2] * APPROACH_M_S
+                back = -robot.placement.T_surface_center(robot.pose.T_base_ee)[:3, 2] * arm_placing.APPROACH_M_S
                 with contextlib.suppress(RobotStopped):
-                    for _ in range(round(100 * BACK_M / APPROACH_M_S)):
+                    for _ in range(round(100 * BACK_M / arm_placing.APPROACH_M_S)):
                         robot.cycle(TipVelocity(back))
                 raise self._stopped_by(verdict) from error
             kind = "arm did not come there" if isinstance(error, NotThere) else "arm did not move"
@@ -312,7 +300,7 @@ class Placing:
     found: Squeezed
     permit: Callable[[Preflight], RigExperiment[bool]]
     grasp: RandomGrasp | None = None
-    _plan: GraspPlan | None = None
+    _plan: arm_placing.GraspPlan | None = None
 
     def before(self) -> RigExperiment[None]:
         """Look, draw, check, carry, look again. Raises SqueezeEnded."""
@@ -323,18 +311,20 @@ class Placing:
         assert placing is not None
         assert self.frames.arm_now is not None
         doubt_m = MOVED_SD * float(first.fit.deviation_m[:2].max()) + self.setup.camera.doubt_m
-        obstacle = Obstacle(first.fit.T_table_container, first.fit.size_m, doubt_m, first.fit.shape == "cylinder")
+        obstacle = arm_placing.Obstacle(
+            first.fit.T_table_container, first.fit.size_m, doubt_m, first.fit.shape == "cylinder"
+        )
         drawn = [self.grasp] if self.grasp else draw_grasps(
-            self.setup.container, self.setup.squeeze, self.seed, TRIES
+            self.setup.container, self.setup.squeeze, self.seed, arm_placing.TRIES
         )  # fmt: skip
         limits = placing.limits(self.setup.squeeze, self.setup.camera.rate_hz)
         start_deg = self.frames.arm_now.joint_deg.tolist()
         try:
             arguments = (placing, limits, grip, start_deg, obstacle, drawn)
-            plan: GraspPlan = yield from ask(Compute(choose_grasp, arguments, "placement"))
-        except NoGrasp as none:
+            plan: arm_placing.GraspPlan = yield from ask(Compute(arm_placing.choose_grasp, arguments, "placement"))
+        except arm_placing.NoGrasp as none:
             yield from self._planned(none, obstacle)
-            if none.refused == (BEGINS_AT_IT,):
+            if none.refused == (arm_placing.BEGINS_AT_IT,):
                 raise self._ended(BEGINS_NEAR, str(none), "the arm: move it away by its joystick") from none
             raise self._ended(NO_GRASP, str(none), "the container's place, and the arm's reach") from none
         self._plan = plan
@@ -396,7 +386,9 @@ class Placing:
         yield Step((sighting,), moment=Moment(self.setup.clock()))
         return sighting
 
-    def _planned(self, found: GraspPlan | NoGrasp, obstacle: Obstacle) -> RigExperiment[None]:
+    def _planned(
+        self, found: arm_placing.GraspPlan | arm_placing.NoGrasp, obstacle: arm_placing.Obstacle
+    ) -> RigExperiment[None]:
         assert self.setup.placing is not None
         hands = [obstacle.T_table_container @ np.linalg.inv(one.T_hand_container) for one in found.tried]
         at = found.tried[-1]
@@ -411,7 +403,7 @@ class Placing:
             tried=np.array([(one.along_m, one.tilt_deg, one.turn_deg) for one in found.tried]),
             refused=found.refused,
             T_table_hands=np.array(hands),
-            path_m=np.zeros((0, 3)) if isinstance(found, NoGrasp) else found.path_m,
+            path_m=np.zeros((0, 3)) if isinstance(found, arm_placing.NoGrasp) else found.path_m,
             reached="",
         )
         yield from self._placement_now()

@@ -11,18 +11,7 @@ import rerun as rr
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.frames import Pad, Stream, TactileFrame
 from deformscope.log.canvas import TEXT
-from deformscope.log.rig.columns import (
-    Batch,
-    Shown,
-    Sink,
-    frame_times,
-    is_news,
-    log_series,
-    moments,
-    recorded,
-    root,
-    scalars,
-)
+from deformscope.log.rig import columns as sent
 from deformscope.pictures.palette import BACKGROUND, colors, round_up, tints_of
 
 FINGER_GAP, PART_GAP = 18, 8
@@ -135,16 +124,18 @@ def log_tactile_stream(rec: rr.RecordingStream, stream: Stream) -> None:
 
 
 def log_tactile(
-    batch: Batch,
+    batch: sent.Batch,
     device: str,
     frames: Sequence[TactileFrame],
     start_ns: int,
     stream: Stream | None,
-    shown: Shown | None = None,
+    shown: sent.Shown | None = None,
 ) -> None:
-    times = frame_times(frames, start_ns)
-    batch.send_columns(root("tactile", device, "peak_kpa"), times, scalars([_peaks_kpa(frame) for frame in frames]))
-    batch.send_columns(root("tactile", device), times, recorded(frames))
+    times = sent.frame_times(frames, start_ns)
+    batch.send_columns(
+        sent.root("tactile", device, "peak_kpa"), times, sent.scalars([_peaks_kpa(frame) for frame in frames])
+    )
+    batch.send_columns(sent.root("tactile", device), times, sent.recorded(frames))
     if stream is not None and stream.pads:
         hand = Hand.of(stream.pads)
     elif frames[0].pressure_pa:
@@ -167,11 +158,13 @@ def _peaks_kpa(frame: TactileFrame) -> FloatArray:
     return np.array([np.max(pad, initial=0.0) * 1e-3 for pad in frame.pressure_pa])
 
 
-def _log_hand(rec: Sink, device: str, hand: Hand) -> None:
+def _log_hand(rec: sent.Sink, device: str, hand: Hand) -> None:
     """Log the constants of a hand's pads: names, places, sizes."""
-    path = root("display/tactile", device)
+    path = sent.root("display/tactile", device)
     names = [pad.name for pad in hand.pads]
-    log_series(rec, root("tactile", device, "peak_kpa"), [f"{name} [kPa]" for name in names], tints_of(len(names)))
+    sent.log_series(
+        rec, sent.root("tactile", device, "peak_kpa"), [f"{name} [kPa]" for name in names], tints_of(len(names))
+    )
     sharp = rr.components.MagnificationFilter.Nearest
     shape = rr.components.ImageFormat(
         width=hand.columns, height=hand.rows, color_model=rr.ColorModel.RGB, channel_datatype=rr.ChannelDatatype.U8
@@ -190,22 +183,22 @@ def _log_hand(rec: Sink, device: str, hand: Hand) -> None:
     _log_text(rec, f"{path}/scale", ticks, None)
 
 
-def _log_text(rec: Sink, path: str, places: Sequence[tuple[float, float]], labels: Sequence[str] | None) -> None:
+def _log_text(rec: sent.Sink, path: str, places: Sequence[tuple[float, float]], labels: Sequence[str] | None) -> None:
     points = rr.Points2D(places, radii=0.01, colors=TEXT, labels=labels, show_labels=True, draw_order=60.0)
     rec.log(path, points, static=True)
 
 
 def _log_pictures(
-    batch: Batch,
+    batch: sent.Batch,
     device: str,
     hand: Hand,
     frames: Sequence[TactileFrame],
     start_ns: int,
     stream: Stream | None,
-    shown: Shown | None,
+    shown: sent.Shown | None,
 ) -> None:
-    path = root("display/tactile", device)
-    times = moments([frame.stamp.host_ns for frame in frames], start_ns)
+    path = sent.root("display/tactile", device)
+    times = sent.moments([frame.stamp.host_ns for frame in frames], start_ns)
     peaks_kpa = np.stack([_peaks_kpa(frame) for frame in frames])
     known = stream is not None and stream.full_scale_pa > 0
     end_kpa = stream.full_scale_pa * 1e-3 if stream is not None and known else round_up(float(peaks_kpa.max()))
@@ -215,11 +208,11 @@ def _log_pictures(
     picture[:, hand.places()] = colors(share.ravel()).reshape(*share.shape, 3)
     batch.send_columns(f"{path}/picture", times, rr.Image.columns(buffer=list(picture.reshape(len(picture), -1))))
     _send_labels(batch, f"{path}/peak", times, [[f"{peak:.2f}" for peak in row] for row in peaks_kpa])
-    if is_news(shown, device, end_kpa, frames[0].stamp.host_ns):
-        since = moments([frames[0].stamp.host_ns], start_ns)
+    if sent.is_news(shown, device, end_kpa, frames[0].stamp.host_ns):
+        since = sent.moments([frames[0].stamp.host_ns], start_ns)
         _send_labels(batch, f"{path}/scale", since, [[f"{end_kpa * at**2:.3g}" for at in (0.0, 0.5, 1.0)]])
 
 
-def _send_labels(batch: Batch, path: str, times: Sequence[rr.TimeColumn], labels: Sequence[Sequence[str]]) -> None:
+def _send_labels(batch: sent.Batch, path: str, times: Sequence[rr.TimeColumn], labels: Sequence[Sequence[str]]) -> None:
     flat = [label for row in labels for label in row]
     batch.send_columns(path, times, rr.Points2D.columns(labels=flat).partition([len(row) for row in labels]))

@@ -19,14 +19,8 @@ from deformscope.log.rig.tactile import Hand
 from deformscope.log.stages.over_image import CENTER, MARK_MM
 from deformscope.pictures.depth_change import depth_change_png
 from deformscope.pictures.palette import BAD, REST, SIMULATED, Rgb, tints_of
+from deformscope.stages.squeeze import trial
 from deformscope.stages.squeeze.events import SqueezeEvents
-from deformscope.stages.squeeze.trial import (
-    ContainerChange,
-    ContentPosterior,
-    FingertipPressure,
-    SqueezeFeatures,
-    TrackedContainer,
-)
 
 MEASURED, CONTENT, NAMED, CHANGE, CONTAINER = (
     f"display/squeeze/{what}" for what in ("measured", "content", "named", "change", "container")
@@ -61,7 +55,7 @@ def log_measured(now: ResultBatch, results: Sequence[object]) -> None:
             rows.append(("first contact", f"within \u00b1{first_ms:.0f} ms"))
             took_s = (one.steady_ns - one.first_ns) / 1e9
             rows.append(("steady state", f"{took_s:.2f} s later, \u00b1{steady_ms:.0f} ms"))
-        if isinstance(one, SqueezeFeatures):
+        if isinstance(one, trial.SqueezeFeatures):
             rows += _physical(one.by_name)
             change = f"none: {one.reason or 'no camera'}"
             if one.vision is not None:
@@ -88,7 +82,7 @@ def _physical(of: dict[str, float]) -> list[tuple[str, str]]:
     ]
 
 
-def log_content(now: ResultBatch, posterior: ContentPosterior) -> None:
+def log_content(now: ResultBatch, posterior: trial.ContentPosterior) -> None:
     """Log a line for each content during the squeeze; the final posterior of all features is only text."""
     if posterior.index >= 0:
         tints = tints_of(len(posterior.labels))
@@ -101,12 +95,12 @@ def log_content(now: ResultBatch, posterior: ContentPosterior) -> None:
     now.show_text(NAMED, text)
 
 
-def log_container_change(now: ResultBatch, change: ContainerChange) -> None:
+def log_container_change(now: ResultBatch, change: trial.ContainerChange) -> None:
     """Log the change of depth during the squeeze; a refused image is reported as text, and the last picture stays."""
     _show(now, change.change_m, change.width_m, change.missing, change.reason)
 
 
-def log_change(now: ResultBatch, features: SqueezeFeatures) -> None:
+def log_change(now: ResultBatch, features: trial.SqueezeFeatures) -> None:
     _show(now, features.vision, features.patch_width_m, features.missing, features.reason or "no camera")
 
 
@@ -117,7 +111,7 @@ def _show(now: ResultBatch, change_m: FloatArray | None, width_m: float, missing
         now.show_png(CHANGE, depth_change_png, change_m, width_m, missing)
 
 
-def log_container(now: ResultBatch, tracked: TrackedContainer) -> None:
+def log_container(now: ResultBatch, tracked: trial.TrackedContainer) -> None:
     """Log the container: green at rest, which stays; red during the squeeze, like everything simulated; darker if the
     track is bad."""
     before = not tracked.since_s >= 0.0
@@ -156,7 +150,7 @@ class Fingertips:
     pads: tuple[int, ...]
 
 
-def log_fingertips(now: ResultBatch, felt: FingertipPressure, fingertips: Fingertips) -> None:
+def log_fingertips(now: ResultBatch, felt: trial.FingertipPressure, fingertips: Fingertips) -> None:
     now.show(FORCE, rr.Scalars(felt.force_n))
     hand = Hand.of(fingertips.stream.pads)
     touched = [at for at in range(len(fingertips.pads)) if felt.area_m2[at] > 0.0]

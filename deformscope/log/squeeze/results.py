@@ -25,17 +25,9 @@ from deformscope.log.squeeze.placing import log_placement, log_sighting
 from deformscope.log.views import SOMETIMES, ShownStage, Views, views_of
 from deformscope.pictures.palette import tints_of
 from deformscope.rows import ENTITIES
+from deformscope.stages.squeeze import trial
 from deformscope.stages.squeeze.events import SqueezeEvents
 from deformscope.stages.squeeze.placement import ContainerSighting, HandPlacement
-from deformscope.stages.squeeze.trial import (
-    ContainerChange,
-    ContentPosterior,
-    FingertipPressure,
-    SqueezeFeatures,
-    SqueezePhase,
-    SqueezeStop,
-    TrackedContainer,
-)
 
 CAMERA = "squeezed.names.camera"
 PHASE, STOPPED = ShownStage("phase", 0, "state of the hand"), ShownStage("stopped", 0, "why", when=SOMETIMES)
@@ -51,7 +43,7 @@ POSTERIOR = ShownStage("posterior", 2, "probability of each content", when=SOMET
 
 def log_squeeze_start(rec: rr.RecordingStream, fingertips: display.Fingertips | None) -> None:
     """Log constants: colours of the phases, names of the plots; and empty results."""
-    rec.log(ENTITIES[SqueezePhase], states(display.SQUEEZE_PHASES), static=True)
+    rec.log(ENTITIES[trial.SqueezePhase], states(display.SQUEEZE_PHASES), static=True)
     if fingertips is not None:
         names = [f"{fingertips.stream.pads[place].name} [N]" for place in fingertips.pads]
         log_series(rec, display.FORCE, names, tints_of(len(names)))
@@ -81,16 +73,16 @@ def prepare_squeeze_results(results: Sequence[object], session_ns: int, fingerti
 def squeeze_views(fingertips: display.Fingertips | None) -> Views[ResultBatch]:
     """The view of each result; events are in the table of `log_measured`."""
     return {
-        SqueezePhase: (PHASE, partial(ResultBatch.show_phase, known=display.SQUEEZE_PHASES)),
-        SqueezeStop: (STOPPED, ResultBatch.show_stop),
-        FingertipPressure: (
+        trial.SqueezePhase: (PHASE, partial(ResultBatch.show_phase, known=display.SQUEEZE_PHASES)),
+        trial.SqueezeStop: (STOPPED, ResultBatch.show_stop),
+        trial.FingertipPressure: (
             FINGERTIPS,
             *(() if fingertips is None else [partial(display.log_fingertips, fingertips=fingertips)]),
         ),
-        TrackedContainer: (TRACK, display.log_container),
-        ContainerChange: (DEPTH_CHANGE, display.log_container_change),
-        SqueezeFeatures: (FEATURES, display.log_change),
-        ContentPosterior: (POSTERIOR, display.log_content),
+        trial.TrackedContainer: (TRACK, display.log_container),
+        trial.ContainerChange: (DEPTH_CHANGE, display.log_container_change),
+        trial.SqueezeFeatures: (FEATURES, display.log_change),
+        trial.ContentPosterior: (POSTERIOR, display.log_content),
         SqueezeEvents: (EVENTS,),
         ContainerSighting: (SIGHTING, log_sighting),
         HandPlacement: (PLACEMENT, log_placement),

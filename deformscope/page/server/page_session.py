@@ -9,22 +9,9 @@ from typing import Any, Protocol
 
 import msgspec
 
-from deformscope.page.server.messages import (
-    CancelMove,
-    CommandReply,
-    ConfirmMove,
-    Outcome,
-    PageCommand,
-    PageState,
-    PendingMove,
-    Phase,
-    Remark,
-    SeeMove,
-    StopRun,
-    TakeControls,
-)
+from deformscope.page.server import messages
 
-NEXT: dict[Phase, frozenset[Phase]] = {
+NEXT: dict[messages.Phase, frozenset[messages.Phase]] = {
     "idle": frozenset({"live", "recording", "exploring", "squeezing", "paused", "adjusting", "stopped"}),
     "live": frozenset({"recording", "stopped"}),
     "recording": frozenset({"live", "stopped"}),
@@ -50,7 +37,7 @@ GONE = "no motion waits for this confirmation: it has expired, or another was re
 class PageRun(Protocol):
     """The object that carries out the commands of pages."""
 
-    def handle(self, command: PageCommand) -> tuple[Outcome, str]:
+    def handle(self, command: messages.PageCommand) -> tuple[messages.Outcome, str]:
         """Carry out a command, or begin with it, immediately; returns the outcome as text. From the server's thread,
         which must not; wait: a slower command has begun, and its end becomes a remark."""
 
@@ -62,7 +49,7 @@ class PageSession:
     def __init__(self, title: str = "", clock: Callable[[], float] = time.monotonic, beat_s: float = BEAT_S) -> None:
         self._clock = clock
         self._began_s = clock()
-        self._state = PageState(title=title, beat_s=beat_s)
+        self._state = messages.PageState(title=title, beat_s=beat_s)
         self._run: PageRun | None = None
         self._beats: dict[str, tuple[float, bool]] = {}
         self._moves = 0
@@ -72,7 +59,7 @@ class PageSession:
         self._lock = threading.RLock()
 
     @property
-    def state(self) -> PageState:
+    def state(self) -> messages.PageState:
         """The present state."""
         with self._lock:
             return msgspec.structs.replace(self._state, now_s=self._now_s())
@@ -89,7 +76,7 @@ class PageSession:
         """From now on this run gets the commands."""
         self._run = run
 
-    def enter(self, phase: Phase, reason: str = "", **changes: Any) -> None:
+    def enter(self, phase: messages.Phase, reason: str = "", **changes: Any) -> None:
         """Change to another phase, or stay in this one; changes: fields of the state. Raises ValueError if the phase
         may not follow."""
         with self._lock:
@@ -120,7 +107,7 @@ class PageSession:
         with self._lock:
             before = self._state.remarks
             number = before[-1].number + 1 if before else 1
-            one = Remark(number, self._now_s(), " ".join(words.split())[:500], bad)
+            one = messages.Remark(number, self._now_s(), " ".join(words.split())[:500], bad)
             self.show(remarks=(*before, one)[-REMARKS:])
 
     def recording_began(self, file: str, **changes: Any) -> None:
@@ -137,7 +124,7 @@ class PageSession:
             self._moves += 1
             self._answers = confirmed, let_be
             number = self._moves
-            self.show(pending=PendingMove(number, what, self._now_s() + CONFIRM_S))
+            self.show(pending=messages.PendingMove(number, what, self._now_s() + CONFIRM_S))
         self._drop_after(UNSEEN_S, number, seen=False)
 
     def _drop_after(self, wait_s: float, number: int, *, seen: bool) -> None:
@@ -196,24 +183,24 @@ class PageSession:
         """Note that a page is present, and whether it is visible."""
         self._beats[page] = (self._clock(), visible)
 
-    def command(self, page: str, command: PageCommand) -> CommandReply:
+    def command(self, page: str, command: messages.PageCommand) -> messages.CommandReply:
         """Carry out a page's command, or refuse it."""
         outcome, words = self._answer(page, command)
-        return CommandReply(command.id, outcome, words)
+        return messages.CommandReply(command.id, outcome, words)
 
-    def _answer(self, page: str, command: PageCommand) -> tuple[Outcome, str]:
+    def _answer(self, page: str, command: messages.PageCommand) -> tuple[messages.Outcome, str]:
         state = self.state
         if state.phase == "stopped":
             return "refused", f"it has stopped: {state.reason}" if state.reason else "it has stopped"
-        if isinstance(command, TakeControls):
+        if isinstance(command, messages.TakeControls):
             self.show(controls=page)
             self._drop("another page took the controls over")
             return "done", "this page has the controls"
-        if state.controls != page and not isinstance(command, StopRun):
+        if state.controls != page and not isinstance(command, messages.StopRun):
             return "refused", "another page has the controls: take them over first"
-        if isinstance(command, ConfirmMove | CancelMove):
+        if isinstance(command, messages.ConfirmMove | messages.CancelMove):
             return self._decide(command)
-        if isinstance(command, SeeMove):
+        if isinstance(command, messages.SeeMove):
             with self._lock:
                 pending = self._state.pending
                 if pending is None or pending.number != command.number or pending.seen:
@@ -231,8 +218,8 @@ class PageSession:
         except Exception as error:  # whatever a command does, the server goes on
             return "refused", " ".join(str(error).split()) or type(error).__name__
 
-    def _decide(self, command: ConfirmMove | CancelMove) -> tuple[Outcome, str]:
-        if isinstance(command, CancelMove):
+    def _decide(self, command: messages.ConfirmMove | messages.CancelMove) -> tuple[messages.Outcome, str]:
+        if isinstance(command, messages.CancelMove):
             return (
                 ("done", "nothing moves")
                 if self._drop("cancelled: nothing moved", command.number)

@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 
 from deformscope.errors import InputError
-from deformscope.experiments.explore.options import ExploreOptions
-from deformscope.experiments.explore.quantity import ApparentStiffness, RelaxedStiffness, StiffnessAtReferenceSpeed
+from deformscope.experiments.explore.options import (
+    ApparentStiffness,
+    ExploreOptions,
+    RelaxedStiffness,
+    StiffnessAtReferenceSpeed,
+)
 from deformscope.experiments.explore.search import InclusionSearch, RegionSearch, ThesisSearch
 from deformscope.stages.fit.estimate import Doubt
 from deformscope.stages.map.measured import TouchMeasurement
