@@ -88,7 +88,7 @@ RIG = Application("deformscope-rig", devices=True)
 
 @dataclass(frozen=True, slots=True)
 class RigLayout(RecordingLayout):
-    """A rig's devices, and the results of stages that run meanwhile. stages: (name, device) of the stages"""
+    """A rig's devices, and the results of stages that run meanwhile. stages: the stages, as (name, device)"""
 
     stages: tuple[tuple[str, str], ...] = ()
 

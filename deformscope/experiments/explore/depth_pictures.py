@@ -1,4 +1,4 @@
-"""The depth images of looks and dents: gathered while they are wanted, and the lens they were taken with."""
+"""The depth images of looks and dents: gathered during a look or a dwell, and the lens of their camera."""
 
 from __future__ import annotations
 
