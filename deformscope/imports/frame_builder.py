@@ -21,7 +21,7 @@ from deformscope.images import decode_image, read_image
 from deformscope.imports.image_messages import cloud_depth, compressed_depth, depth_of_points, is_depth, raw_image
 from deformscope.imports.import_map import ASKED, MappedStream
 from deformscope.imports.point_files import read_points
-from deformscope.imports.poses import Pose, check_rotation, pose_from, rotation_from
+from deformscope.imports.poses import QUATERNIONS, Pose, check_rotation, pose_from, rotation_from
 from deformscope.imports.readers import TABLE_TYPES, Message, Topic
 from deformscope.recording.streams import UNITS, columns_of, split_unit
 from deformscope_drivers.clock import Stamp
@@ -156,12 +156,18 @@ class FrameBuilder:
 
     def _check_rotation(self) -> None:
         """Find the form of a rotation of three or four numbers, or ask for it."""
-        fields = self._fields or {}
+        fields = {name: field for name, (field, _) in (self._fields or {}).items()}
+        named = {one: fields[f"q{one}"][-1:].lower() for one in "xyzw" if f"q{one}" in fields}
+        if sorted(named.values()) == sorted("xyzw") and (wrong := [one for one in named if named[one] != one]):
+            field = fields[f"q{wrong[0]}"]
+            raise self.stream.missing(f"columns.q{wrong[0]}", f"the column of {wrong[0]}, as their names say", field)
         if columns := columns_of("q", fields) or columns_of("rotation_rad", fields):
             self.axes = "xyz" if columns[0] == "rotation_x_rad" else ""
-            known = {_vendor(fields[one][0])[1] for one in columns}
-            of_vendor = known.pop() if len(known) == 1 else ""
-            self.rotation = check_rotation(self.stream, 4 if columns[0][0] == "q" else 3, self.axes, of_vendor)
+            forms = {_vendor(fields[one])[1] for one in columns}
+            ends = "".join(fields[one][-1:].lower() for one in columns)
+            known = forms.pop() if len(forms) == 1 else ""
+            known = ends if ends in QUATERNIONS else known
+            self.rotation = check_rotation(self.stream, 4 if columns[0][0] == "q" else 3, self.axes, known)
         elif self.stream.rotation:
             raise self.stream.missing("rotation", "none: no column is a rotation of three or four numbers", "")
 
@@ -277,10 +283,10 @@ class FrameBuilder:
         stream = self.stream
         if path.suffix.lower() not in CLOUDS:
             if stream.kind == "depth" and not stream.step_m:
-                raise stream.missing("unit_m", "the step of its images [m]: 0.001 for mm", "")
+                raise stream.missing("unit_m", "the step of its images [m]", "", "unit_m = 0.001, for mm,")
             return read_image(path)
         if not stream.units.get("points"):
-            raise stream.missing("units.points", "m, cm, mm or um", "")
+            raise stream.missing("units.points", "m, cm, mm or um", "", 'units = {"points" = "mm"}')
         return self.in_metres("points", depth_of_points(stream, read_points(path), self.missed))
 
     def step_m(self, encoding: str) -> float:
@@ -298,10 +304,8 @@ class FrameBuilder:
         said = ", ".join(
             [*(f"{value:g} by {name}" for name, value in stated.items()), *(f"{one:g} by {encoding}" for one in usual)]
         )
-        expected = (
-            f"the step of its distances [m]{said and ': '}{said or f', which {encoding!r} does not say: 0.001 for mm'}"
-        )
-        raise stream.missing("unit_m", expected, stream.unit_m or "")
+        expected = f"the step of its distances [m]{said and ': '}{said or f', which {encoding!r} does not say'}"
+        raise stream.missing("unit_m", expected, stream.unit_m or "", "unit_m = 0.001, for mm,")
 
     def in_metres(self, key: str, distances: FloatArray) -> FloatArray:
         """Real numbers as metres. key: the map's key in `units`"""
@@ -309,16 +313,21 @@ class FrameBuilder:
         if unit and SI.get(unit, ("",))[0] == "m":
             return distances * SI[unit][1]
         known = ", ".join(name for name, (of, _) in SI.items() if of == "m")
-        far = np.count_nonzero(np.isfinite(distances) & (distances > FAR_M))
-        if unit or 2 * far > np.count_nonzero(np.isfinite(distances) & (distances > 0)):
+        if unit or _is_far(distances):
             came = f"none, and most of its distances are above {FAR_M:g}"
-            raise self.stream.missing(f"units.{key}", f"one of {known}", unit or came)
+            raise self.stream.missing(f"units.{key}", f"one of {known}", unit or came, f'units = {{"{key}" = "mm"}}')
         return distances
 
 
 def _vendor(field: str) -> tuple[str, str]:
     """Unit and form of rotation of a vendor's column; both empty for others."""
     return next(((unit, form) for pattern, unit, form in VENDORS if pattern.fullmatch(field)), ("", ""))
+
+
+def _is_far(distances: FloatArray) -> bool:
+    """Whether most of the distances [m] are beyond those of a thing to press."""
+    seen = np.isfinite(distances) & (distances > 0)
+    return bool(2 * np.count_nonzero(seen & (distances > FAR_M)) > np.count_nonzero(seen))
 
 
 def _is_of_matrices(value: Any) -> bool:
@@ -444,6 +453,9 @@ def _depth(self: FrameBuilder, row: Row, at: At) -> Frame | None:
     is_real = depth.dtype.kind == "f"
     unit_m = float(row.get("unit_m") or 0.0)
     unit_m = unit_m or (self.stream.step_m or REAL_STEP_M if is_real else self.step_m(encoding))
+    if not self.own and not is_real and not self.stream.step_m and _is_far(depth * unit_m):
+        came = f"{unit_m:g} m, by which most of them are beyond {FAR_M:g} m"
+        raise self.stream.missing("unit_m", "the step of its distances", came, f"unit_m = {unit_m:g}, if it is that,")
     if not 1e-7 <= unit_m <= 10.0:
         raise InputError(f"a unit_m of distances of {self.stream.device} from 1e-7 to 10 m", f"{unit_m:g}")
     if is_real:
@@ -476,7 +488,7 @@ def _images(self: FrameBuilder, row: Row, at: At) -> tuple[Any, Any, str]:
                 image, encoding = compressed_depth(stream, form, bytes(value.data))
             image = self.in_metres("data", image) if image.dtype.kind == "f" else image
         elif is_depth(form):
-            raise stream.missing("kind", f'"depth", as {form!r} has distances', stream.kind)
+            raise stream.missing("kind", f'"depth", as {form!r} has distances', stream.kind, 'kind = "depth"')
         elif hasattr(value, "encoding"):
             image = raw_image(stream, value)
         else:

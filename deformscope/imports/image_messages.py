@@ -170,7 +170,10 @@ def depth_of_points(stream: MappedStream, points: FloatArray, missed: Counter[st
     given = {"focal_px": stream.focal_px, "center_px": stream.center_px, "size_px": stream.size_px}
     for key, value in given.items():
         if value is None:
-            raise stream.missing(key, "of the camera that points without an order are projected into [px]", "")
+            expected = "of the camera that points without an order are projected into [px]"
+            raise stream.missing(
+                key, expected, "", f"{key} = [WIDTH, HEIGHT]" if key == "size_px" else f"{key} = [X, Y]"
+            )
     (fx, fy), (cx, cy), (width, height) = stream.focal_px, stream.center_px, stream.size_px  # type: ignore[misc]
     x, y, z = points[front].T
     with np.errstate(all="ignore"):  # beside the axis, near it, and where the map's camera is none

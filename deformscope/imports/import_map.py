@@ -87,9 +87,10 @@ class MappedStream(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
             raise InputError(f"times of {self.device} below {MOST_NS} ns", f"{moved:.4g}", hint)
         return round(ns) + self.offset_ns
 
-    def missing(self, key: str, expected: str, came: object = ASKED) -> InputError:
-        """The error that asks for a key."""
-        return InputError(f"{key} of {self.device} in the map: {expected}", f"{came!r}" if came else "none", HOW)
+    def missing(self, key: str, expected: str, came: object = ASKED, typed: str = "") -> InputError:
+        """The error that asks for a key. typed: an example of a line for the map"""
+        hint = f"{typed} in the map" if typed else HOW
+        return InputError(f"{key} of {self.device} in the map: {expected}", f"{came!r}" if came else "none", hint)
 
 
 class ImportMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -71,11 +71,11 @@ def check_rotation(stream: MappedStream, count: int, axes: str, known: str) -> s
     names have, or empty. Raises InputError where the map has to say it."""
     form = stream.rotation or known
     if known and form != known:
-        raise stream.missing("rotation", f"{known}, as the names of its columns say", form)
+        raise stream.missing("rotation", f"{known}, as the names of its columns say", form, f'rotation = "{known}"')
     is_one = form in QUATERNIONS if count == 4 else form == "vector" or EULER.fullmatch(form)
     if not is_one:
         expected = 'the order of its four numbers, "xyzw" or "wxyz"' if count == 4 else ROTATIONS
-        raise stream.missing("rotation", expected, form)
+        raise stream.missing("rotation", expected, form, f'rotation = "{"xyzw" if count == 4 else "vector"}"')
     if axes and EULER.fullmatch(form) and len({*form}) < 3:
         expected = f"rotation_0_rad to rotation_2_rad: {form} has two angles about {form[0]}"
         raise stream.missing("columns of rotation_rad", expected, "x, y and z")
@@ -127,9 +127,14 @@ class Poses:
         above = stream.pose.rpartition("/")[0]
         first = next(iter(reader.messages([stream.pose])), None)
         self._is_tree = bool(stream.child) or (first is not None and hasattr(first.value, "transforms"))
-        for key in ("parent", "child") if self._is_tree else ():
+        for key, name in {"parent": "base", "child": "end"}.items() if self._is_tree else ():
             if getattr(stream, key) in ("", ASKED):
-                raise stream.missing(key, "a frame of the transforms: the arm's base, its end")
+                links = getattr(first and first.value, "transforms", ())
+                names = dict.fromkeys(name for one in links for name in (one.header.frame_id, one.child_frame_id))
+                expected = (
+                    f"a frame of the transforms: the arm's {name}; {stream.pose} has {', '.join(names)}, and more"
+                )
+                raise stream.missing(key, expected, ASKED, f'{key} = "FRAME"')
         self._parent, self._child = stream.parent.lstrip("/"), stream.child.lstrip("/")
         fixed = {f"{above}/{STATIC}", f"/{STATIC}"} & {*reader.topics} if self._is_tree else set()
         for message in reader.messages(fixed):

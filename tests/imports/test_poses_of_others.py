@@ -69,7 +69,8 @@ def test_transforms_are_known_by_their_content(kind: str, tmp_path: Path, capfd:
     assert 'pose = "/tf"\nparent = "?"\nchild = "?"' in text
     assert "frames base, tool" in text
     error = refused(source, arm_map(parent=""), tmp_path / "r.rrd", capfd)
-    assert "expected parent of arm in the map: a frame of the transforms" in error
+    assert "expected parent of arm in the map: a frame of the transforms: the arm's base; /tf has base, tool" in error
+    assert 'try: parent = "FRAME" in the map' in error
     found = places(imported(source, arm_map(), tmp_path / "r.rrd"))
     np.testing.assert_allclose(found, [[0.5, 0.0, 0.4 - at / 1000] for at in range(1, 21)], atol=1e-15)
 
@@ -275,6 +276,21 @@ def test_a_rotation_vector_of_a_vendor_is_recognised(
     assert "rotation of arm in the map: vector, as the names of its columns say; got 'XYZ'" in error
     error = refused(source, f'{text}units = {{"{names[0]}" = "mm"}}\n', tmp_path / "s.rrd", capfd)
     assert f"units.\"{names[0]}\" of arm in the map: m, as the source says; got 'mm'" in error
+
+
+def test_names_of_quaternions_are_those_of_their_numbers(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    names = ["q.w", "q.x", "q.y", "q.z"]
+    source = pose_table(tmp_path, names, TURN.as_quat(scalar_first=True), "")
+    columns = {f"q_{at}": name for at, name in enumerate(names)}
+    frames = arms(imported(source, pose_map(columns, ""), tmp_path / "r.rrd"))
+    np.testing.assert_allclose(rotation_from_euler_xyz(*frames[0].rotation_rad), TURN.as_matrix(), atol=1e-12)
+    error = refused(source, pose_map(columns, "", 'rotation = "xyzw"\n'), tmp_path / "s.rrd", capfd)
+    assert "rotation of arm in the map: wxyz, as the names of its columns say; got 'xyzw'" in error
+    named = dict(zip(["qw", "qx", "qy", "qz"], names, strict=True))
+    frames = arms(imported(source, pose_map(named, ""), tmp_path / "t.rrd"))
+    np.testing.assert_allclose(rotation_from_euler_xyz(*frames[0].rotation_rad), TURN.as_matrix(), atol=1e-12)
+    error = refused(source, pose_map(named | {"qx": "q.w", "qw": "q.x"}, ""), tmp_path / "s.rrd", capfd)
+    assert "columns.qx of arm in the map: the column of x, as their names say; got 'q.w'" in error
 
 
 def test_angles_of_more_than_a_turn_are_no_radians(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
