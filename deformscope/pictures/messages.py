@@ -99,7 +99,7 @@ def estimate_rows(estimate: Estimate) -> list[tuple[str, str]]:
         ("noise of a position", format_length(estimate, found.get("noise"))),
     ]
     if estimate.explained is not None:
-        rows.append(("explained", explained_text(estimate.explained)))
+        rows.append(("explained", explained_text(estimate.explained, estimate.reasons)))
     if not found.get("pose_held", True):
         rows.append(("pose", "the held particles leave the body free to turn: hold more for a reliable value"))
     if lost := found.get("lost"):

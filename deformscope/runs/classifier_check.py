@@ -34,6 +34,7 @@ class ClassifierCheckResult(LibraryResult):
                 f"{format_right(score)}, chance {score.chance:.1%}, {score.trials.sum()} of {self.trials} trials",
             ),
             ("promised", format_promise(check)),
+            *([("drifted", format_drifted(check))] if check.drifted and not check.kept else []),
             ("calibration", format_calibration(check)),
             *((f"{name} alone", format_right(one)) for name, one in check.alone.items()),
         ]
@@ -103,6 +104,15 @@ def format_promise(check: ModelCheck) -> str:
     verdict = "kept" if check.kept else "NOT kept: the accuracy is higher than promised" if better else "NOT kept"
     promised = "{:.1%} ({:.1%} to {:.1%})".format(check.promised.value, *check.promised.interval)
     return f"{verdict}: {promised}; {{:.1%}} to {{:.1%}} expected of this number of trials".format(*check.expected)
+
+
+def format_drifted(check: ModelCheck) -> str:
+    """The features that are farthest from those of the training trials."""
+    named = ", ".join(f"{name} by {by:+.1f}" for name, by in list(check.drifted.items())[:3])
+    more = f" and {len(check.drifted) - 3} more" if len(check.drifted) > 3 else ""
+    return (
+        f"{named}{more} deviations of the training trials, on average: check the sensor's zero and gain, or train again"
+    )
 
 
 def format_calibration(check: ModelCheck) -> str:

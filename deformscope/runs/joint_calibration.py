@@ -38,7 +38,7 @@ class JointResult(LibraryResult):
         rows.append(("correlation", f"{found.correlation:+.2f}"))
         rows.append(("stiffness", found.beta.stiffness_text()))
         if found.beta.explained is not None:
-            rows.append(("explained", explained_text(found.beta.explained)))
+            rows.append(("explained", explained_text(found.beta.explained, found.beta.reasons)))
         rows.append(("converged", converged_text(found.beta)))
         return (Table(rows, caption=f"beta and theta of {self.name}"),)
 

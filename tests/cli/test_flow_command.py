@@ -71,6 +71,28 @@ def test_the_way_back_the_picture_and_the_json(capsys: pytest.CaptureFixture[str
     assert told["mean_px"] <= told["max_px"]
 
 
+def test_flow_that_its_own_way_back_contradicts_is_named_with_its_place(capsys: pytest.CaptureFixture[str]) -> None:
+    def told(*images: str) -> tuple[float | None, str]:
+        assert main(["flow", *images, "--out", "f.npz", "--json", "f.json"]) == 0
+        return json.loads(Path("f.json").read_text())["doubtful_share"], capsys.readouterr().out
+
+    share, said = told("before.png", "after.png")
+    assert (share or 0.0) < 0.05
+    assert "doubtful" not in said
+    assert told("before.png", "before.png")[0] is None
+    hidden = texture(96, 128, MOTION_PX)
+    hidden[60:, 80:] = np.random.default_rng(0).integers(0, 255, (36, 48))
+    cv2.imwrite("hidden.png", hidden)
+    share, said = told("before.png", "hidden.png")
+    assert share is not None
+    assert 0.05 < share < 0.3
+    assert f"{share:.0%} of the pixels that move, most of them bottom right" in said
+    cv2.imwrite("other.png", np.random.default_rng(1).integers(0, 255, (96, 128)))
+    share, said = told("before.png", "other.png")
+    assert share is not None
+    assert share > 0.5
+
+
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_images_that_do_not_move_are_drawn_too(dtype: type[np.generic]) -> None:
     cv2.imwrite("still.png", np.dstack([texture(40, 64).astype(dtype)] * 3))

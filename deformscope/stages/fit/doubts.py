@@ -2,9 +2,9 @@
 
 Which of them lower a verdict, and why:
 
-- `not-converged`, less than 30 % of the motion explained (`nothing-moved` where all of it is noise), rest and deformed
-  of two sizes, columns swapped or mirrored, two materials: the value describes nothing in the data, so the parameter is
-  unidentified.
+- `not-converged`, less than 30 % of the motion explained (`nothing-moved` where all of it is noise, or `rigid-motion`),
+  rest and deformed of two sizes, columns swapped or mirrored, two materials: the value describes nothing in the data,
+  so the parameter is unidentified.
 - Less than 75 % explained (half of the motion, root mean square, is left) with more than noise left, a value on the end
   of a narrow interval, residuals ten times as large as the stated noise, theta with a misfit above the noise. Such
 values depend on the error measure or on the body's load, so that the verdict is at most weak.
@@ -51,6 +51,9 @@ STAYS, BACKGROUND = 3.0, 0.3
 TREMBLES, MOST = 0.03, 0.95
 """Motion in images, as a share of the particles' spacing, that may be an error of the flow where the model explains
 nothing of it; share of the free particles that stay where nothing moved."""
+
+RIGID = 0.0025
+"""Largest share of a motion (squares) that a shift and a turn of the whole body leave, if it is a rigid motion."""
 
 RESCALED = 2.0
 """A deformed shape that is larger or smaller than the rest shape by this factor has another unit."""
@@ -105,7 +108,7 @@ def found_in_numbers(
     ]
 
 
-CAUSES: tuple[DoubtCode, ...] = ("nothing-moved", "axes-swapped", "units", "two-materials")
+CAUSES: tuple[DoubtCode, ...] = ("nothing-moved", "rigid-motion", "axes-swapped", "units", "two-materials")
 """Causes, rather than consequences."""
 
 
@@ -116,7 +119,7 @@ def ordered(reasons: Iterable[Doubt]) -> tuple[Doubt, ...]:
 
 
 OF_STIFFNESS: tuple[DoubtCode, ...] = (
-    *("nothing-moved", "axes-swapped", "two-materials", "not-converged", "little-explained"),
+    *("nothing-moved", "rigid-motion", "axes-swapped", "two-materials", "not-converged", "little-explained"),
 )
 """Doubts that concern the stiffness too: the model computes it from the same positions."""
 
@@ -135,9 +138,11 @@ def not_converged(converged: bool) -> Iterator[Doubt]:
 def little_explained(share: float, *, left_is_noise: bool = False, seen: Sequence[Observation] = ()) -> Iterator[Doubt]:
     """share: share of the motion beyond a rigid one that is explained (sums of squares); left_is_noise: the unexplained
     motion is no larger than noise, which the interval includes; seen: the fitted observations, to report whether a
-    particle moved"""
+    particle moved, or all moved as one rigid body"""
     words = f"the model explains {max(share, 0.0):.0%} of the motion"
-    if seen and (still := _still(seen, share)):
+    if share < EXPLAINED_LEAST and (rigid := _rigid(seen)):
+        yield Doubt("rigid-motion", rigid, "unidentified")
+    elif seen and (still := _still(seen, share)):
         yield Doubt("nothing-moved", still, "unidentified")
     elif share < EXPLAINED_LEAST:
         text = f"{words}; misfit or noise are as large as the motion itself{_background(seen)}"
@@ -145,6 +150,20 @@ def little_explained(share: float, *, left_is_noise: bool = False, seen: Sequenc
     elif share < EXPLAINED_LOW and not left_is_noise:
         left = f"{np.sqrt(1.0 - share):.0%} of its root mean square is left"
         yield Doubt("little-explained", f"{words} only ({left}){_background(seen)}", "weak")
+
+
+def _rigid(seen: Sequence[Observation]) -> str:
+    """In words, that all motion is that of a rigid body; empty where it is not, or where there is none."""
+    left = whole = 0.0
+    for one in seen:
+        known, moved = known_of(one), one.deformed - one.rest
+        left += float(np.sum((rigid_positions(one.rest, one.deformed, known) - one.deformed)[known] ** 2))
+        whole += float(np.sum(moved[known] ** 2)) if np.abs(moved[known]).max() > 1e-6 * size_of(one.rest) else 0.0
+    if not seen or left > RIGID * whole or whole == 0.0:
+        return ""
+    return (
+        f"a rigid motion: a shift and turn of the whole body are {1.0 - left / whole:.1%} of it, and nothing deformed"
+    )
 
 
 def _background(seen: Sequence[Observation]) -> str:
@@ -363,7 +382,11 @@ def swapped_axes(
     least, share, words, matrix = min(found, key=lambda one: one[0])
 
     def better() -> bool:
-        return least < min(SWAPPED * as_is, rival) and share < SWAPPED_SHARE * as_is_share
+        return (
+            as_is > seen[0].rest.size * (1e-6 * size_of(seen[0].rest)) ** 2
+            and least < min(SWAPPED * as_is, rival)
+            and share < SWAPPED_SHARE * as_is_share
+        )
 
     if bulge is not None and better():
         as_is, as_is_share = min((as_is, as_is_share), left(np.eye(dim), bulge))

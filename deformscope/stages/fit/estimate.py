@@ -34,6 +34,7 @@ SHOWN = 121
 DoubtCode = Literal[
     "not-converged",
     "nothing-moved",
+    "rigid-motion",
     "little-explained",
     "value-at-interval-end",
     "noise-contradicted",
@@ -321,10 +322,10 @@ def converged_text(found: Any) -> str:
     return "yes" if found.converged else "NO: do not rely on the values"
 
 
-def explained_text(share: float) -> str:
-    """Explained share of a motion beyond a rigid one, as text, with a warning if it is small."""
+def explained_text(share: float, reasons: Sequence[Doubt] = ()) -> str:
+    """Explained share of a motion beyond a rigid one, as text, with a warning if it is small and no reason says why."""
     described = f"{max(share, 0.0):.0%} of the motion beyond a rigid one"
-    if share >= EXPLAINED_LOW:
+    if share >= EXPLAINED_LOW or any(one.code in ("nothing-moved", "rigid-motion") for one in reasons):
         return described
     return f"only {described}: check units, order and held particles; if they are right, try another model"
 

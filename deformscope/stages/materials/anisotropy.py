@@ -227,7 +227,7 @@ class _AxisFit:
         for at, (low, high), one in zip(best.at, ends, identifiability, strict=True):
             beta, own = float(-np.expm1(-at)), (float(low), float(high))
             noise = ratio, None, noise_source(self.seen)
-            numbers = found_in_numbers("beta", beta, own, limits, one, converged=converged, noise=noise)
+            numbers = found_in_numbers("beta", beta, own, limits, one, converged=converged, noise=noise, seen=self.seen)
             found.append(ordered([*numbers, *common]))
         return tuple(found)
 

@@ -74,7 +74,7 @@ class AxisEstimate(ReportedResult):
         return {"verdict": "unidentified", "text": ACROSS_VIEW} if len(self.value) == 2 else None
 
     @property
-    @derived("explained", words=lambda found: explained_text(found.explained))
+    @derived("explained", words=lambda found: explained_text(found.explained, found.reasons[0]))
     def explained(self) -> float:
         """Share of the motion beyond a rigid one that the betas explain."""
         return self.identifiability[0].explained

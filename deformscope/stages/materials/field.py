@@ -211,7 +211,7 @@ def fit_field(
         *_part_of_a_face(fit),
         *_smooth_error(chosen, differ),
     ]
-    reasons += little_explained(explained, left_is_noise=chosen.misfit < 2.0)
+    reasons += little_explained(explained, left_is_noise=chosen.misfit < 2.0, seen=[seen])
     verdicts = tuple(limited(one, reasons) for one in place_verdicts(np.exp(interval)))
     kind: FieldKind = "gradual" if chosen.label[0] < 0 else "materials" if chosen.label.max() > 0 else "uniform"
     directions = None

@@ -142,7 +142,9 @@ class FieldEstimate(ReportedResult):
     noise_reach: float = field(metadata=reported(key="noise_reach_spacings"))
     aee: float = field(metadata=reported(length=True))
     beta_aee: float = field(metadata=reported(length=True))
-    explained: float = field(metadata=reported("explained", words=lambda found: explained_text(found.explained)))
+    explained: float = field(
+        metadata=reported("explained", words=lambda found: explained_text(found.explained, found.reasons))
+    )
     converged: bool = field(metadata=reported("converged", words=converged_text))
     unit: LengthUnit = "m"
     metres_per_unit: float | None = 1.0

@@ -48,7 +48,9 @@ class YieldEstimate(ReportedResult):
     level: float = field(metadata=reported())
     verdict: Verdict = field(metadata=reported())
     reasons: tuple[Doubt, ...] = field(metadata=reported())
-    explained: float = field(metadata=reported("explained", words=lambda found: explained_text(found.explained)))
+    explained: float = field(
+        metadata=reported("explained", words=lambda found: explained_text(found.explained, found.reasons))
+    )
     beta: Parameter = field(metadata=reported("beta", words=lambda found: found.beta.text))
     creep: Parameter | None = field(
         metadata=reported(

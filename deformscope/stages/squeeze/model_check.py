@@ -24,6 +24,9 @@ DRAWS = 4000
 """Perfectly calibrated classifiers that are drawn: a share of 0.1 is then known within 0.01."""
 
 
+DRIFTED = 1.0
+"""A feature whose mean is off by more than this many deviations of the training trials has drifted."""
+
 TIMES_S = (0.2, 0.5, 1.0)
 """Times since first contact at which a model's posteriors are evaluated."""
 
@@ -54,7 +57,9 @@ class ModelCheck:
     inside: how many bins of the reliability diagram are inside the band, and how many have answers
     calibrated: share of perfectly calibrated classifiers with the same posteriors that stray as far or farther
     times: during the squeeze and in the end, if table and model have steps
-    trained: number of the trials that trained the model: these do not test it"""
+    trained: number of the trials that trained the model: these do not test it
+    drifted: features by modality and column, and by how many deviations of the training trials their means are off, the
+    farthest first"""
 
     labels: tuple[str, ...]
     score: ClassificationScore
@@ -65,6 +70,7 @@ class ModelCheck:
     calibrated: float = field(metadata=reported(key="calibrated_p"))
     times: tuple[TimeCheck, ...] = field(default=(), metadata=reported(key="at_times"))
     trained: int = field(default=0, metadata=reported(key="trained_on"))
+    drifted: Mapping[str, float] = field(default_factory=dict, metadata=reported())
 
     @property
     @derived(key="promise_kept")
@@ -119,7 +125,21 @@ def check_model(model: ContentModel, table: LabelledTable, *, level: float = 0.9
     times = tuple(_times(model, table, level, seed))
     shown = (*times, last) if times else ()
     trained = int(trained_on(table, model.seen)[rows].sum())
-    return ModelCheck(model.labels, score, alone, promised, expected, bins, calibrated, shown, trained)
+    return ModelCheck(
+        model.labels, score, alone, promised, expected, bins, calibrated, shown, trained, _drifted(model, features)
+    )
+
+
+def _drifted(model: ContentModel, features: Mapping[str, FloatArray]) -> dict[str, float]:
+    """See `ModelCheck.drifted`; features: (n, p) by modality"""
+    found: dict[str, float] = {}
+    for name, values in features.items():
+        scaling = model.modalities[name].scaling
+        known = values[~np.isnan(values).all(axis=1)]
+        off = scaling.apply(known).sum(axis=0) / max(len(known), 1)
+        found |= {f"{name}[{column}]": float(by) for column, by in zip(np.flatnonzero(scaling.used), off, strict=True)}
+    far = sorted(found, key=lambda name: -abs(found[name]))
+    return {name: found[name] for name in far if abs(found[name]) > DRIFTED}
 
 
 def _times(model: ContentModel, table: LabelledTable, level: float, seed: int) -> Iterator[TimeCheck]:

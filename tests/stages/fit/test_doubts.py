@@ -6,8 +6,10 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from deformscope.arrays import FloatArray
+from deformscope.pictures.messages import estimate_rows
 from deformscope.stages.fit.calibrate import FitOptions, Model, Observation, calibrate
 from deformscope.stages.fit.doubts import (
     found_in_numbers,
@@ -118,7 +120,7 @@ def test_what_only_trembles_did_not_move() -> None:
     moved = seen_sheet(0.6)
     noise = np.random.default_rng(1).normal(0.0, NOISE_M, moved.rest.shape)
     for still in (
-        dataclasses.replace(moved, deformed=moved.rest + noise + 0.01),  # as a whole it may move
+        dataclasses.replace(moved, deformed=moved.rest + noise),
         dataclasses.replace(moved, deformed=moved.rest, noise=None),
     ):
         found = fitted(still)
@@ -126,6 +128,24 @@ def test_what_only_trembles_did_not_move() -> None:
         assert "unidentified: nothing moved: the held particles by" in found.verdict_text()
     (reason,) = little_explained(0.2, seen=[moved])
     assert reason.code == "little-explained"
+
+
+@pytest.mark.parametrize("noise_m", [0.0, NOISE_M])
+@pytest.mark.parametrize("known", [True, False])
+def test_a_body_that_only_moves_as_a_whole_is_not_asked_for_its_units(noise_m: float, known: bool) -> None:
+    moved = seen_sheet(0.6)
+    noise = np.random.default_rng(1).normal(0.0, noise_m, moved.rest.shape) if noise_m else 0.0
+    turn = Rotation.from_euler("z", 25.0, degrees=True).as_matrix()[: moved.rest.shape[1], : moved.rest.shape[1]]
+    for rigid in (moved.rest + 0.01, (moved.rest - moved.rest.mean(axis=0)) @ turn.T):
+        given = dataclasses.replace(moved, deformed=rigid + noise)
+        found = fitted(given if known else dataclasses.replace(given, noise=None))
+        assert (found.verdict, codes(found.reasons)[0]) == ("unidentified", "rigid-motion")
+        assert not {"axes-swapped", "units", "little-explained"} & set(codes(found.reasons))
+        assert "a rigid motion: a shift and turn of the whole body are" in found.verdict_text()
+        (explained,) = (row[1] for row in estimate_rows(found) if row[0] == "explained")
+        assert "units" not in explained
+    bent = dataclasses.replace(moved, deformed=moved.deformed + 0.01)
+    assert "rigid-motion" not in codes(little_explained(0.2, seen=[bent]))
 
 
 def test_particles_of_images_that_stay_are_named_with_the_flag_that_leaves_them_out() -> None:

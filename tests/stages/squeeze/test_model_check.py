@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from deformscope.errors import InputError
+from deformscope.runs.classifier_check import ClassifierCheckResult
 from deformscope.stages.squeeze import model_check
 from deformscope.stages.squeeze.model import ContentModel, fit_model
 from deformscope.stages.squeeze.model_check import check_model
@@ -39,6 +40,22 @@ def test_a_classifier_that_is_too_sure_or_misses_its_promise_is_found_out(model:
     assert not found.kept
     assert not found.calibration_kept
     assert found.score.overconfidence.interval[0] > 0.0
+
+
+def test_features_that_drifted_are_named_where_a_classifier_fails(model: ContentModel) -> None:
+    table = two_modalities(75, seed=2)
+    assert check_model(model, table).drifted == {}
+    name = next(iter(table.modalities))
+    drifting = table.modalities[name].copy()
+    drifting[:, 1] += 9.0 * drifting[:, 1].std()
+    drifting[:, 0] -= 4.0 * drifting[:, 0].std()
+    drifting[::7] = np.nan
+    found = check_model(model, dataclasses.replace(table, modalities={**table.modalities, name: drifting}))
+    assert not found.kept
+    assert list(found.drifted) == [f"{name}[1]", f"{name}[0]"]
+    assert list(found.drifted.values()) == pytest.approx([9.0, -4.0], rel=0.3)
+    (row,) = (row for row in ClassifierCheckResult(found, len(table)).tables()[0].rows if row[0] == "drifted")
+    assert row[1].startswith(f"{name}[1] by +")
 
 
 def test_with_one_modality_less_the_other_answers_as_it_does_alone(model: ContentModel) -> None:
