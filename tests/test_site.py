@@ -69,6 +69,15 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
     assert re.findall(r'(?:<script[^>]* src|<link[^>]* rel="stylesheet"[^>]* href)="(?:https?:)?//[^"]*', start) == []
 
 
+def test_the_sites_settings_are_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In place of the build, which is slow: theme, plugins and extensions are there, and take their options."""
+    monkeypatch.setenv("NO_MKDOCS_2_WARNING", "1")
+    monkeypatch.setenv("DISABLE_MKDOCS_2_WARNING", "true")
+    config = pytest.importorskip("mkdocs.config").load_config(str(ROOT / "mkdocs.yml"))
+    assert config["strict"]
+    assert {"material/search", "redirects", "mkdocstrings"} <= config["plugins"].keys()
+
+
 def test_every_page_stands_in_the_navigation() -> None:
     named = set(
         re.findall(r"[\w/-]+\.md", str(yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))["nav"]))

@@ -198,6 +198,22 @@ def threads_of(source: str) -> dict[str, int]:
     return {"threads": cv2.getNumThreads()}
 
 
+def test_the_documented_line_for_a_cluster_is_taken(tmp_path: Path, monkeypatch: Patch) -> None:
+    """With a worker of this process: those of a cluster are looked at in `tests/executor/test_ray.py`."""
+    page = (ROOT / "docs" / "howto" / "sweep.md").read_text(encoding="utf-8")
+    line = page.split("\ndeformscope sweep /shared/pokes --out runs/beta ")[1].split("\n```")[0].replace("\\\n", "")
+    (tmp_path / "p.npz").write_text("no pair")
+    asked: list[object] = []
+
+    def opened(*given: object, **_: object) -> contextlib.nullcontext[HereWorker]:
+        asked.append(given[:2])
+        return contextlib.nullcontext(HereWorker())
+
+    monkeypatch.setattr("deformscope.runs.sweep.open_workers", opened)
+    assert main(["sweep", str(tmp_path), "--out", str(tmp_path / "out"), *line.split()]) == EXIT_LOSSES
+    assert asked == [("ray", "10.0.0.5:6379")]
+
+
 @pytest.mark.parametrize(
     ("flags", "command", "words"),
     [

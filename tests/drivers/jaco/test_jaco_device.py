@@ -206,20 +206,13 @@ def test_an_angular_velocity_held_for_1_s_moves_the_double_by_the_right_angle(
     np.testing.assert_allclose(moved, (0, rate_deg_s, 0, -rate_deg_s, 0, 0), atol=one_cycle)
 
 
-def test_a_cartesian_velocity_held_for_1_s_moves_the_double_by_the_right_length(simulated: Jaco) -> None:
-    before = simulated.next(1.0)
-    hold(simulated, CartesianVelocity((0.03, -0.02, 0.01), (0.0, 0.0, 0.1)), 1.0)
-    moved_m = np.array(simulated.next(1.0).position_m) - np.array(before.position_m)
-    np.testing.assert_allclose(moved_m, (0.03, -0.02, 0.01), atol=0.04 * PERIOD_S)
-
-
 def test_a_cartesian_rotation_is_about_the_hand_s_own_axes_and_a_translation_along_the_base_s(simulated: Jaco) -> None:
     before = simulated.next(1.0).T_base_end_effector
-    hold(simulated, CartesianVelocity((0.02, 0.0, 0.0), (0.05, 0.0, 0.1)), 1.0)
+    hold(simulated, CartesianVelocity((0.03, -0.02, 0.01), (0.05, 0.0, 0.1)), 1.0)
     after = simulated.next(1.0).T_base_end_effector
     turned = Rotation.from_matrix(before[:3, :3].T @ after[:3, :3]).as_rotvec()
     assert turned == pytest.approx([0.05, 0.0, 0.1], abs=2e-3)
-    assert after[:3, 3] - before[:3, 3] == pytest.approx([0.02, 0.0, 0.0], abs=1e-3)
+    np.testing.assert_allclose(after[:3, 3] - before[:3, 3], (0.03, -0.02, 0.01), atol=0.04 * PERIOD_S)
 
 
 def test_a_velocity_about_the_base_s_axes_is_converted() -> None:
@@ -533,32 +526,6 @@ def test_never_more_than_a_point_waits_in_the_arm(lab: Simulated) -> None:
     assert most == 1
 
 
-def test_a_sender_that_dies_leaves_the_arm_still_and_its_fifo_empty() -> None:
-    double = JacoDouble()
-    with Jaco(PATIENT, double) as arm:
-        refreshed = threading.Event()
-
-        def sender() -> None:
-            with contextlib.suppress(ZeroDivisionError):
-                for refresh in range(20):
-                    arm.set_velocity(TURN, valid_for_s=0.1)
-                    refreshed.set()
-                    time.sleep(0.01)
-                    _ = 1 / (10 - refresh)
-
-        thread = threading.Thread(target=sender)
-        thread.start()
-        assert refreshed.wait(5.0)
-        wait_until(lambda: double.joints_deg[0] > J2N6S300.home_deg[0] + 0.05)
-        thread.join()
-        wait_until(lambda: arm.health().extra["commands_expired"] == 1)
-        wait_until(lambda: not arm._erase_due)
-        stopped = double.joints_deg
-        time.sleep(0.05)
-        np.testing.assert_array_equal(double.joints_deg, stopped)
-        assert double.fifo_count == 0
-
-
 PROGRAM = """
 import sys, threading, time
 from deformscope_drivers.jaco import *
@@ -791,13 +758,6 @@ def test_states_come_at_their_rate_and_have_no_seventh_joint(lab: Simulated) -> 
     np.testing.assert_allclose(state.T_base_end_effector, J2N6S300.end_effector(J2N6S300.home_deg), atol=1e-6)
     assert state.supply_v == 24.0
     assert state.fifo_count == 0
-
-
-def test_a_seven_joint_arm_tells_seven() -> None:
-    lab = Simulated(model="j2s7s300")
-    with lab.arm.open(own_thread=False):
-        assert len(lab.arm.next(1.0).joints_deg) == 7
-        assert lab.arm.chain.joint_count == 7
 
 
 def test_a_push_is_seen_in_the_state(lab: Simulated) -> None:
