@@ -144,7 +144,6 @@ def test_inverse_says_honestly_when_the_target_is_out_of_reach(chain: Chain) -> 
     far[:3, 3] = (2.0, 0.0, 0.3)
     found = chain.inverse(far, starts=3)
     assert not found.converged
-    assert found.starts == 3
     reached = chain.end_effector(found.joints_deg)
     assert found.position_error_m == pytest.approx(float(np.linalg.norm(reached[:3, 3] - far[:3, 3])))
     assert found.position_error_m > 0.7
