@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -90,7 +89,11 @@ def find_serial() -> list[FoundDevice]:
         # The identity is that of a chip maker's example, which others use too: the name decides.
         driver = "optoforce" if (port.vid, port.pid) == OPTOFORCE_USB and "optoforce" in name.lower() else ""
         note = "" if driver else SERIAL_ADAPTER
-        found.append(FoundDevice(driver, _stable_name(Path(port.device)), name, port.serial_number or "", note=note))
+        found.append(
+            FoundDevice(
+                driver, stable_name(port.device, Path("/dev/serial/by-id")), name, port.serial_number or "", note=note
+            )
+        )
     return found
 
 
@@ -115,11 +118,9 @@ def find_can(network: Path = NETWORK) -> list[FoundDevice]:
     return found
 
 
-def _stable_name(device: Path, folders: Iterable[str] = ("/dev/serial/by-id",)) -> str:
-    """A name that is stable when ports are renumbered, if the system has one."""
-    for folder in folders:
-        links = Path(folder)
-        for link in sorted(links.iterdir()) if links.is_dir() else []:
-            if link.resolve() == device.resolve():
-                return str(link)
-    return str(device)
+def stable_name(path: str, links: Path) -> str:
+    """The link in the folder `links` (/dev/serial/by-id, /dev/v4l/by-id) to the same device, or else the path."""
+    if not links.is_dir() or Path(path).parent == links or not Path(path).exists():
+        return path
+    target = Path(path).resolve()
+    return next((str(link) for link in sorted(links.iterdir()) if link.resolve() == target), path)

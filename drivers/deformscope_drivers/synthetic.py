@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 import threading
 from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
@@ -76,10 +77,6 @@ class SyntheticSource(Device[MeasurementT], Generic[MeasurementT, ViewT]):
     def _take(self, view: ViewT, stamp: Stamp) -> MeasurementT:
         """The camera's picture of a view, with what the camera adds to it."""
 
-    @abstractmethod
-    def _restamp(self, reading: MeasurementT, stamp: Stamp) -> MeasurementT:
-        """The same picture with another stamp, as a camera that is frozen sends it again."""
-
     # For the program that fills it -----------------------------------------------------------------------------------
 
     def push(self, view: ViewT) -> None:
@@ -141,7 +138,10 @@ class SyntheticSource(Device[MeasurementT], Generic[MeasurementT, ViewT]):
         if not self._plugged:
             raise LinkLost("pictures", "the end of the cable (unplugged?)", where=self.name)
         now_ns = self._clock()
-        found = [self._picture(view, now_ns) for view in self._take_pushed()] + self._of_scene(now_ns)
+        with self._lock:
+            views = list(self._pushed)
+            self._pushed.clear()
+        found = [self._picture(view, now_ns) for view in views] + self._of_scene(now_ns)
         sent = [reading for reading in found if reading is not None and not self._silent]
         if sent:
             self._heard_ns = now_ns
@@ -154,12 +154,6 @@ class SyntheticSource(Device[MeasurementT], Generic[MeasurementT, ViewT]):
 
     def _wake(self) -> None:
         self._pacer.wake()
-
-    def _take_pushed(self) -> list[ViewT]:
-        with self._lock:
-            views = list(self._pushed)
-            self._pushed.clear()
-        return views
 
     def _of_scene(self, now_ns: int) -> list[MeasurementT | None]:
         if self._scene is None:
@@ -183,7 +177,8 @@ class SyntheticSource(Device[MeasurementT], Generic[MeasurementT, ViewT]):
             self._count_lost(1)
             return None
         if self._frozen and self._held is not None:
-            reading = self._restamp(self._held, stamp)
+            held: Any = self._held  # a dataclass
+            reading = dataclasses.replace(held, stamp=stamp)
         else:
             self._held = reading = self._take(view, stamp)
         if self._clock_fit is not None and stamp.device_ticks is not None:

@@ -141,20 +141,16 @@ class HostedArm(Arm[ArmState]):
             while not answer.done():
                 if (left_s := (until_ns - self._clock()) / 1e9) <= 0:
                     raise NoReply(f"{name} done within {timeout_s:g} s", "nothing", where=self.name)
-                self._await(answer, min(left_s, WAITING_S))
+                if threading.current_thread() is self._thread:  # which takes the answers
+                    for state in self._receive(min(left_s, WAITING_S)):
+                        self._publish(state)
+                else:
+                    wait([answer], min(left_s, WAITING_S))
+                if not answer.done():
+                    self._hosted.send("waiting")
         finally:
             del self._answers[number]
         return answer.result()
-
-    def _await(self, answer: Future[Any], timeout_s: float) -> None:
-        """Wait up to timeout_s [s] for an answer, and report to the other process that the caller still waits."""
-        if threading.current_thread() is self._thread:  # which takes the answers
-            for state in self._receive(timeout_s):
-                self._publish(state)
-        else:
-            wait([answer], timeout_s)
-        if not answer.done():
-            self._hosted.send("waiting")
 
     # Run by the device's own thread ----------------------------------------------------------------------------------
 

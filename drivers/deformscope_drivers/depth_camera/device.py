@@ -8,7 +8,6 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from deformscope_drivers.clock import ClockFit
 from deformscope_drivers.depth_camera.discovery import resolve_port
@@ -27,7 +26,7 @@ _CAMERA = re.compile(r"(\w[\w:/@.-]*)?")
 
 
 @dataclass(frozen=True, slots=True)
-class DepthCameraConfig:
+class DepthCameraConfig(OpenniSettings):
     """How a depth camera is opened and set.
 
     port: empty = the first camera; `usb:1-2` = the one in that socket, as `deformscope devices` prints it, which is the
@@ -40,17 +39,6 @@ class DepthCameraConfig:
     silence_s: time without a picture after which the camera counts as lost; stuck_after_s: the same picture for this
     long means a frozen one, None = it may (a recording always may)"""
 
-    port: str = ""
-    width: int | None = None
-    height: int | None = None
-    fps: int | None = None
-    unit_m: float | None = None
-    color: bool = False
-    registered: bool = True
-    mirror: bool = False
-    speed: float = 1.0
-    loop: bool = False
-    library: str = ""
     silence_s: float = 5.0
     stuck_after_s: float | None = 5.0
 
@@ -100,12 +88,9 @@ class DepthCamera(HostedCamera):
     def _settings(self) -> tuple[OpenniSettings]:
         if self.config.is_recording and not Path(self.config.port).is_file():
             raise NotConnected("an existing recording", "none", where=self.config.port)
-        uri = resolve_port(self.config.port, self._usb)
         self._ticks_before = self._ticks_offset = 0
-        asked: dict[str, Any] = {
-            field.name: getattr(self.config, field.name, uri) for field in dataclasses.fields(OpenniSettings)
-        }
-        return (OpenniSettings(**asked),)
+        asked = {field.name: getattr(self.config, field.name) for field in dataclasses.fields(OpenniSettings)}
+        return (OpenniSettings(**asked | {"port": resolve_port(self.config.port, self._usb)}),)
 
     def _projection(self) -> Intrinsics | None:
         angles = self._reported["field_of_view_rad"]

@@ -105,7 +105,16 @@ class HostedCamera(Device[DepthImage]):
     # A device --------------------------------------------------------------------------------------------------------
 
     def _connect(self) -> None:
-        self._reported = self._open_there()
+        try:
+            self._hosted.start(self._serve, *self._settings())
+            report: dict[str, Any] | None = self._hosted.opened(OPEN_TIMEOUT_S, self._closing)
+        except ProcessEnded as error:
+            status = self._hosted.exit_status(END_TIMEOUT_S)
+            came = f"the end of the process that reads it (exit status {status})"
+            raise NotConnected("a depth camera", came, "another file or library", self.name) from error
+        if report is None:
+            raise NotConnected("a depth camera", f"none within {OPEN_TIMEOUT_S:g} s", "reconnect it", self.name)
+        self._reported = report
         self._intrinsics = self._projection()
         self._heard_ns = self._clock()
         self._last_index = None
@@ -139,19 +148,6 @@ class HostedCamera(Device[DepthImage]):
         return fingerprint(reading.depth)
 
     # Within ----------------------------------------------------------------------------------------------------------
-
-    def _open_there(self) -> dict[str, Any]:
-        """The process's report on the opened camera."""
-        try:
-            self._hosted.start(self._serve, *self._settings())
-            report: dict[str, Any] | None = self._hosted.opened(OPEN_TIMEOUT_S, self._closing)
-        except ProcessEnded as error:
-            status = self._hosted.exit_status(END_TIMEOUT_S)
-            came = f"the end of the process that reads it (exit status {status})"
-            raise NotConnected("a depth camera", came, "another file or library", self.name) from error
-        if report is None:
-            raise NotConnected("a depth camera", f"none within {OPEN_TIMEOUT_S:g} s", "reconnect it", self.name)
-        return report
 
     def _picture(self, frame: FrameMessage) -> Iterable[DepthImage]:
         # what is missing before a frame, by the camera's counter, which begins again where it was reset

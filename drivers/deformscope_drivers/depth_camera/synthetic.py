@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 
@@ -83,9 +82,6 @@ class SyntheticDepthCamera(SyntheticSource[DepthImage, View]):
         depth = np.where(seen, steps, 0).astype(np.uint16)
         color = None if view.color is None else np.array(view.color, np.uint8)
         return DepthImage(stamp, depth, config.unit_m, color, config.intrinsics)
-
-    def _restamp(self, reading: DepthImage, stamp: Stamp) -> DepthImage:
-        return dataclasses.replace(reading, stamp=stamp)
 
     def _fingerprint(self, reading: DepthImage) -> Hashable:
         return fingerprint(reading.depth)

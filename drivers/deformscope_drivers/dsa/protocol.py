@@ -142,23 +142,19 @@ class Decoder(_DsaDecoder[Reading | Reply]):
         if not intact:
             return Refused("checksum")
         if id == Id.FRAME:
-            return self._reading(payload)
+            timestamp_ms, flags = _FRAME_HEAD.unpack_from(payload)
+            coded = payload[_FRAME_HEAD.size :]
+            texels = decode_rle(coded, self.cells or SDH_CELLS) if flags & FRAME_RLE else decode_raw(coded)
+            if texels is None:
+                return Refused("texel count" if flags & FRAME_RLE else "texel range")
+            right_count = texels.size and self.cells in (None, texels.size)
+            return Reading(timestamp_ms, flags, texels) if right_count else Refused("texel count")
         if len(payload) > 2:
             reply: Reply = REPLY_TO[id].unpack(payload)
             return reply
         error = int.from_bytes(payload, "little")
         # a query that succeeded is answered in full
         return Refused("length") if id in REPLY_TO and error == SUCCESS else Ack(id, error)
-
-    def _reading(self, payload: bytes) -> Reading | Refused:
-        timestamp_ms, flags = _FRAME_HEAD.unpack_from(payload)
-        coded = payload[_FRAME_HEAD.size :]
-        texels = decode_rle(coded, self.cells or SDH_CELLS) if flags & FRAME_RLE else decode_raw(coded)
-        if texels is None:
-            return Refused("texel count" if flags & FRAME_RLE else "texel range")
-        if texels.size == 0 or (self.cells is not None and texels.size != self.cells):
-            return Refused("texel count")
-        return Reading(timestamp_ms, flags, texels)
 
 
 @dataclass(frozen=True, slots=True)

@@ -176,8 +176,13 @@ class Jaco(Arm[JacoState]):
         try:
             self._command(now_ns, late_ns)
             state = self._reader.go_on(self._pacer.due_ns)
-        except VendorError as error:
-            self._judge(error)
+        except VendorError as error:  # the link is lost, or the arm refused a call, which may pass
+            self._count_refused(f"{error.vendor_code or error.code} {error.symbol}")
+            self._refused_in_a_row += 1
+            if isinstance(error, LinkLost):
+                raise
+            if isinstance(error, NotConnected) or self._refused_in_a_row >= REFUSED_IN_A_ROW:
+                raise LinkLost("an arm that answers", str(error), error.remedy, self.name) from error
             return ()
         if state is None:
             return ()
@@ -257,15 +262,6 @@ class Jaco(Arm[JacoState]):
             if (speed > 0 and ahead > box.high_m[axis]) or (speed < 0 and ahead < box.low_m[axis]):
                 return f"the workspace would have been left along {name} at {here:.3f} m"
         return ""
-
-    def _judge(self, error: VendorError) -> None:
-        """A code that came back in the cycle: the link is lost, or the arm refused a call, which may pass."""
-        self._count_refused(f"{error.vendor_code or error.code} {error.symbol}")
-        self._refused_in_a_row += 1
-        if isinstance(error, LinkLost):
-            raise error
-        if isinstance(error, NotConnected) or self._refused_in_a_row >= REFUSED_IN_A_ROW:
-            raise LinkLost("an arm that answers", str(error), error.remedy, self.name) from error
 
     def _pause(self, seconds: float) -> None:
         """Wait in the thread that owns the link, by a simulated clock where it runs on one."""

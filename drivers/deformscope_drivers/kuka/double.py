@@ -201,20 +201,16 @@ class KukaDouble:
         arrives = np.abs(self._rates_deg_s * cycle_s - gap_deg) < 1e-9
         self._joints_deg = np.where(arrives, target_deg, self._joints_deg + self._rates_deg_s * cycle_s)
 
-    def _taken_deg(self) -> FloatArray:
-        """(6,) the correction of this cycle: the answer's, or by HOLDON for a missing one."""
-        answer, self._answer = self._answer, None
-        if answer is None:
-            self.missed += 1
-            return np.where(self._holdon, self._held_deg, 0.0)
-        self.missed = 0
-        self.corrections += bool(np.any(answer))
-        self._held_deg = answer
-        return answer
-
     def _cycle(self) -> None:
         """The end of one cycle, and the begin of the next."""
-        taken_deg = self._taken_deg()
+        taken_deg, self._answer = self._answer, None
+        if taken_deg is None:  # a missing answer: HOLDON decides
+            self.missed += 1
+            taken_deg = np.where(self._holdon, self._held_deg, 0.0)
+        else:
+            self.missed = 0
+            self.corrections += bool(np.any(taken_deg))
+            self._held_deg = taken_deg
         before_deg = self._setpoint_deg
         self._setpoint_deg = (self._begin_deg if self._absolute else before_deg) + taken_deg
         step_deg = np.abs(self._setpoint_deg - before_deg)

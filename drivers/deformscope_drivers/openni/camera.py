@@ -24,10 +24,10 @@ WAITING = 4
 
 @dataclass(frozen=True, slots=True)
 class OpenniSettings:
-    """Settings for opening a camera; None = unchanged. uri: OpenNI2's; speed: speed of a recording, 0 = as fast as it
-    is read"""
+    """Settings for opening a camera; None = unchanged. port: OpenNI2's uri; speed: speed of a recording, 0 = as fast as
+    it is read"""
 
-    uri: str = ""
+    port: str = ""
     width: int | None = None
     height: int | None = None
     fps: int | None = None
@@ -46,7 +46,7 @@ class OpenniCamera:
     def __init__(self, settings: OpenniSettings) -> None:
         self._settings = settings
         self._openni = Openni(settings.library)
-        self._device = self._openni.open(settings.uri)
+        self._device = self._openni.open(settings.port)
         self.depth = self._device.stream(Sensor.DEPTH)
         self.color = self._device.stream(Sensor.COLOR) if settings.color else None
         self._ended = False
@@ -79,7 +79,7 @@ class OpenniCamera:
         stream = self._openni.wait(self._streams(), timeout_s)
         for event, number in self._openni.take_events():
             if event == "disconnected":
-                raise LinkLost("a camera that is there", "none (unplugged?)", "check the cable", self._settings.uri)
+                raise LinkLost("a camera that is there", "none (unplugged?)", "check the cable", self._settings.port)
             self._ended = self._ended or number == END_OF_FILE
         if stream is not None:
             return stream.read()
@@ -110,7 +110,7 @@ class OpenniCamera:
                 stream.set_mirror(settings.mirror)
             came = stream.mirror()
             if (came is None and settings.mirror) or (came is not None and came != settings.mirror):
-                raise SettingsRefused(f"mirror {settings.mirror}", f"mirror {came}", where=settings.uri)
+                raise SettingsRefused(f"mirror {settings.mirror}", f"mirror {came}", where=settings.port)
         if self.color is not None and self._registers:
             self._device.register_depth_to_color()
 
@@ -130,7 +130,7 @@ class OpenniCamera:
         if came != asked or (stream.sensor is Sensor.DEPTH and came.pixel_format not in UNITS_M):
             kind = stream.sensor.name.lower()
             raise SettingsRefused(
-                f"{kind} {_to_text(asked)}", _to_text(came), "another size, rate or unit", settings.uri
+                f"{kind} {_to_text(asked)}", _to_text(came), "another size, rate or unit", settings.port
             )
 
 
@@ -155,7 +155,12 @@ class Pairs:
         else:
             self._depths.append((frame, host_ns))
         found = []
-        while self._depths and self._is_complete(self._depths[0][0]):
+        newest_us = self._colors[-1].timestamp_us if self._colors else None
+        while self._depths and (
+            len(self._depths) > WAITING
+            or self._color_of(self._depths[0][0]) is not None
+            or (newest_us is not None and newest_us > self._depths[0][0].timestamp_us)
+        ):
             found.append(self._take())
         return found
 
@@ -166,11 +171,6 @@ class Pairs:
     def _take(self) -> FrameMessage:
         depth, host_ns = self._depths.popleft()
         return _message(depth, host_ns, self._color_of(depth))
-
-    def _is_complete(self, depth: Frame) -> bool:
-        if len(self._depths) > WAITING or self._color_of(depth) is not None:
-            return True
-        return bool(self._colors) and self._colors[-1].timestamp_us > depth.timestamp_us
 
     def _color_of(self, depth: Frame) -> Frame | None:
         def apart_us(color: Frame) -> int:

@@ -135,9 +135,14 @@ class Openni:
     def __init__(self, library: str = "") -> None:
         self.lib = load(library)
         self._events: list[tuple[str, int]] = []
-        self._kept: list[Any] = []
+        self._held: list[Any] = []
         self.check(self.lib.oniInitialize(API_VERSION), "OpenNI2 with its drivers")
-        self._listen()
+        gone = _INFO_CALLBACK(lambda _info, _cookie: self._events.append(("disconnected", 0)))
+        state = _STATE_CALLBACK(lambda _info, number, _cookie: self._events.append(("state", number)))
+        handle = c_void_p()
+        callbacks = _Callbacks(None, ctypes.cast(gone, c_void_p), ctypes.cast(state, c_void_p))
+        self._held += [gone, state, callbacks, handle]  # the library calls them from its own threads
+        self.lib.oniRegisterDeviceCallbacks(byref(callbacks), None, byref(handle))
 
     def check(self, status: int, expected: str, where: str = "", error: type[DeviceError] = NotConnected) -> None:
         """Raises `error` where a call's status is not OK. expected: what the call was for"""
@@ -175,14 +180,6 @@ class Openni:
             return None
         self.check(status, "a frame", error=LinkLost)
         return streams[index.value]
-
-    def _listen(self) -> None:
-        gone = _INFO_CALLBACK(lambda _info, _cookie: self._events.append(("disconnected", 0)))
-        state = _STATE_CALLBACK(lambda _info, number, _cookie: self._events.append(("state", number)))
-        handle = c_void_p()
-        callbacks = _Callbacks(None, ctypes.cast(gone, c_void_p), ctypes.cast(state, c_void_p))
-        self._kept += [gone, state, callbacks, handle]  # the library calls them from its own threads
-        self.lib.oniRegisterDeviceCallbacks(byref(callbacks), None, byref(handle))
 
 
 class OpenniDevice:
@@ -316,7 +313,10 @@ def pixel_bytes(pixel_format: int) -> int:
 
 def load(library: str = "") -> ctypes.CDLL:
     """Load OpenNI2; raises LibraryMissing. The library finds its drivers in `OpenNI2/Drivers` in its folder."""
-    tried = _candidates(library)
+    redist = os.environ.get(REDIST)
+    tried = [*([str(Path(redist) / LIBRARY_NAME)] if redist else []), SONAME, LIBRARY_NAME]
+    if library:
+        tried = [str(library_file(library))]
     for path in tried:
         try:
             lib = ctypes.CDLL(path)
@@ -333,13 +333,6 @@ def library_file(path: str) -> Path:
     """The library file of a path: the file itself, or the file of the vendor's name in a folder."""
     chosen = Path(path).expanduser()
     return chosen / LIBRARY_NAME if chosen.is_dir() else chosen
-
-
-def _candidates(library: str) -> list[str]:
-    if library:
-        return [str(library_file(library))]
-    redist = os.environ.get(REDIST)
-    return [*([str(Path(redist) / LIBRARY_NAME)] if redist else []), SONAME, LIBRARY_NAME]
 
 
 def _listed(info: _DeviceInfo) -> ListedDevice:

@@ -184,11 +184,6 @@ class OptoforceDouble:
             settings.speed = speed
             self._next_sent = self._sample_at(now_ns) + int(speed)
         settings.filter = filter_
-        self._set_zero(zero, now_ns)
-        self._acknowledge(0, now_ns)
-
-    def _set_zero(self, zero: Zero, now_ns: int) -> None:
-        settings = self._settings
         if zero is Zero.CLEAR:
             self._zero = np.zeros_like(self._zero)
             settings.cleared_ns = now_ns if settings.cleared_ns is None else settings.cleared_ns
@@ -196,6 +191,7 @@ class OptoforceDouble:
             self._take_samples(self._sample_at(now_ns))
             self._zero = np.zeros_like(self._zero) if self._filtered is None else np.round(self._filtered)
             settings.cleared_ns = None
+        self._acknowledge(0, now_ns)
 
     def _acknowledge(self, result: int, now_ns: int) -> None:
         if self.sensors.acknowledges:
@@ -224,19 +220,15 @@ class OptoforceDouble:
         weight = 1.0 if cutoff_hz is None else 1.0 - math.exp(-2.0 * math.pi * cutoff_hz * SAMPLE_NS * 1e-9)
         memory = 1 if cutoff_hz is None else math.ceil(FILTER_MEMORY / weight)
         for sample in range(max(self._sample, last - memory + 1), last + 1):
-            counts = self._counts(self._time_ns(sample) * 1e-9)
+            load = np.asarray(self.sensors.scene(self._time_ns(sample) * 1e-9), float) * self._per_load
+            noise = self._random.standard_normal(self._zero.shape) * self.sensors.noise_counts
+            counts = load + self.sensors.offset_counts + noise
+            counts = np.minimum(np.maximum(counts, -self._saturation), self._saturation)
             if self._filtered is None:
                 self._filtered = counts
             else:
                 self._filtered = self._filtered + weight * (counts - self._filtered)
         self._sample = max(self._sample, last + 1)
-
-    def _counts(self, time_s: float) -> FloatArray:
-        """(channels, axes) what a sample reads before filter and zero."""
-        load = np.asarray(self.sensors.scene(time_s), float) * self._per_load
-        noise = self._random.standard_normal(self._zero.shape) * self.sensors.noise_counts
-        counts = load + self.sensors.offset_counts + noise
-        return np.asarray(np.minimum(np.maximum(counts, -self._saturation), self._saturation))
 
     def _reading(self) -> Reading:
         assert self._filtered is not None

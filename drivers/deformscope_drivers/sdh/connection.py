@@ -94,15 +94,18 @@ class SdhConnection(StreamDevice[HandReading]):
         if self.config.protocol == "binary" and not binary:
             advice = 'protocol = "ascii"'
             raise SettingsRefused("firmware 0.0.2.15 or later for binary", firmware, advice, self.name)
+        speeds, accelerations = codes.VELOCITY_MAX_OLD_DEG_S, Limits().acceleration_max_deg_s2
+        if self._release >= codes.VELOCITY_LIMITS_SINCE:
+            speeds = self._values("vlim")
+        if self._release >= codes.ACCELERATION_LIMITS_SINCE:
+            accelerations = self._values("alim")
         self._about = HandIdentity(
             firmware=firmware,
             firmware_date=self._text_if_known("ver_date"),
             name=self._text_if_known("id"),
             serial_number=self._text_if_known("sn"),
             binary=binary,
-            limits=Limits(
-                velocity_max_deg_s=self._velocity_limits(), acceleration_max_deg_s2=self._acceleration_limits()
-            ),
+            limits=Limits(velocity_max_deg_s=speeds, acceleration_max_deg_s2=accelerations),
         )
         self._next_poll_ns = self._next_temperature_ns = self._clock()
         self._connections += 1
@@ -165,16 +168,6 @@ class SdhConnection(StreamDevice[HandReading]):
 
     def _values(self, name: str, *values: float, timeout_s: float | None = None, tries: int = TRIES) -> ByAxis:
         return self._exchange(protocol.Command(name, values), protocol.ValueReply, timeout_s, tries).values
-
-    def _velocity_limits(self) -> ByAxis:
-        return self._values("vlim") if self._release >= codes.VELOCITY_LIMITS_SINCE else codes.VELOCITY_MAX_OLD_DEG_S
-
-    def _acceleration_limits(self) -> ByAxis:
-        return (
-            self._values("alim")
-            if self._release >= codes.ACCELERATION_LIMITS_SINCE
-            else Limits().acceleration_max_deg_s2
-        )
 
     def _exchange(
         self, command: protocol.Command, kind: type[ReplyT], timeout_s: float | None = None, tries: int = TRIES

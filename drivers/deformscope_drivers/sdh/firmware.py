@@ -157,7 +157,10 @@ class Firmware:
             for (_, axis), value in zip(axes, values, strict=True):
                 self._check_setting(name, axis, value)
             for (index, axis), value in zip(axes, values, strict=True):
-                self._set(name, index, axis, value, now_ns)
+                if name != "power":
+                    setattr(axis, SETTINGS[name], value)
+                elif now_ns >= self._gripping_until_ns:  # a grip cannot be switched off either
+                    self.motion.power(index, bool(value))
             if name in ("v", "tvav") and self.motion.controller is not codes.Controller.POSE:
                 self._keep_reporting(now_ns)
                 self.motion.follow_velocities()
@@ -180,12 +183,6 @@ class Firmware:
                 good = 0.0 <= value <= codes.CURRENT_MAX_A
         if not good:
             raise Refusal(RANGE)
-
-    def _set(self, name: str, index: int, axis: Axis, value: float, now_ns: int) -> None:
-        if name != "power":
-            setattr(axis, SETTINGS[name], value)
-        elif now_ns >= self._gripping_until_ns:  # a grip cannot be switched off either
-            self.motion.power(index, bool(value))
 
     def _limit(self, command: Command) -> Event:
         if command.values:

@@ -11,6 +11,7 @@ from deformscope_drivers.clock import Clock, ClockFit, Stamp, monotonic_ns
 from deformscope_drivers.device import RECONNECT, Device, Reconnect
 from deformscope_drivers.errors import LinkLost, NotConnected, SettingsRefused
 from deformscope_drivers.images import QUEUE_IMAGES, ColorImage, fingerprint
+from deformscope_drivers.ports import stable_name
 from deformscope_drivers.webcam.capture import Capture, Setting, open_v4l2
 
 EXPOSURE_UNIT_S = 1e-4
@@ -177,14 +178,6 @@ def apply(config: WebcamConfig, capture: Capture, where: str) -> None:
             f"v4l2-ctl -d {where} --list-formats-ext --list-ctrls",
             where,
         )
-
-
-def stable_name(path: str, links: Path) -> str:
-    """The link among `links` (/dev/v4l/by-id) to the same camera, or else the path."""
-    if not links.is_dir() or Path(path).parent == links or not Path(path).exists():
-        return path
-    target = Path(path).resolve()
-    return next((str(link) for link in sorted(links.iterdir()) if link.resolve() == target), path)
 
 
 def to_fourcc(text: str) -> int:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from deformscope_drivers.ports import FoundDevice, UsbDevice, sysfs_text, usb_device
-from deformscope_drivers.webcam.device import stable_name
+from deformscope_drivers.ports import FoundDevice, stable_name, sysfs_text, usb_device
 
 
 def discover(sysfs: Path = Path("/sys"), dev: Path = Path("/dev")) -> list[FoundDevice]:
@@ -20,19 +19,13 @@ def discover(sysfs: Path = Path("/sys"), dev: Path = Path("/dev")) -> list[Found
         device = dev / node.name
         port = stable_name(str(device), dev / "v4l" / "by-id")
         name = sysfs_text(node / "name")
-        usb = _usb_of(node)
+        usb, interface = None, node / "device"
+        if interface.exists():  # it names an interface, a folder below the USB device's
+            folder = interface.resolve()
+            usb = usb_device(folder) or usb_device(folder.parent)
         notes = [] if port == str(device) else [str(device)]
         if usb is not None:
             notes.append(f"usb {usb.vendor:04x}:{usb.product:04x}")
         serial, revision = (usb.serial, usb.revision) if usb is not None else ("", "")
         found.append(FoundDevice("webcam", port, name, serial, revision, ", ".join(notes)))
     return found
-
-
-def _usb_of(node: Path) -> UsbDevice | None:
-    """The USB device that a video node belongs to: its link `device` names an interface, a folder below it."""
-    interface = node / "device"
-    if not interface.exists():
-        return None
-    folder = interface.resolve()
-    return usb_device(folder) or usb_device(folder.parent)

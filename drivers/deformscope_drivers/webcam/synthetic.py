@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 
@@ -44,9 +43,6 @@ class SyntheticCamera(SyntheticSource[ColorImage, Picture]):
             noise = self._random.normal(0.0, self.config.noise, view.shape)
             return ColorImage(stamp, np.clip(np.rint(view + noise), 0, 255).astype(np.uint8))
         return ColorImage(stamp, np.array(view, np.uint8))
-
-    def _restamp(self, reading: ColorImage, stamp: Stamp) -> ColorImage:
-        return dataclasses.replace(reading, stamp=stamp)
 
     def _fingerprint(self, reading: ColorImage) -> Hashable:
         return fingerprint(reading.image)
