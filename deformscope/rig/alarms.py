@@ -126,17 +126,14 @@ class SensorAlarms:
         for (kind, name), frames in groups.items():
             if kind in _CAUSES and name in self._watched:
                 watched, now_ns = self._watched[name], frames[-1].stamp.host_ns
-                _leave_out_silence(watched, kind, frames[0].stamp.host_ns)
+                first_ns = frames[0].stamp.host_ns
+                silent_ns = first_ns - watched.newest_ns.get(kind, first_ns)
+                if silent_ns > CLEAR_S * 1e9:  # nothing is cleared by time in which nothing came
+                    for what in watched.seen_ns:
+                        watched.seen_ns[what] += silent_ns * (what[0] is kind)
                 causes = _CAUSES[kind](frames, self._streams[name], watched)
                 notes += _changes(name, watched, kind, causes, now_ns)
         return notes
-
-
-def _leave_out_silence(watched: _Watched, kind: type, first_ns: int) -> None:
-    """Nothing is cleared by time in which nothing came. first_ns: time of new items"""
-    silent_ns = first_ns - watched.newest_ns.get(kind, first_ns)
-    if silent_ns > CLEAR_S * 1e9:
-        watched.seen_ns = {what: at_ns + silent_ns * (what[0] is kind) for what, at_ns in watched.seen_ns.items()}
 
 
 def _changes(name: str, watched: _Watched, kind: type, causes: Mapping[str, str], now_ns: int) -> list[SessionNote]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -27,11 +26,10 @@ from deformscope_drivers.dsa.texels import TEXEL_MAX
 from deformscope_drivers.optoforce.protocol import Kind as Sensors
 
 if TYPE_CHECKING:
-    from deformscope_drivers.arm import Arm, ArmState
+    from deformscope_drivers.arm import ArmState
     from deformscope_drivers.depth_camera import DepthImage
     from deformscope_drivers.dsa import Dsa, TactileReading
-    from deformscope_drivers.dsa.messages import MatrixInfo
-    from deformscope_drivers.optoforce import ForceMeasurement, Optoforce
+    from deformscope_drivers.optoforce import ForceMeasurement
     from deformscope_drivers.sdh import HandReading
     from deformscope_drivers.webcam import ColorImage
 
@@ -47,9 +45,19 @@ def to_frame(kind: Kind, reading: object, index: int, name: str, device: object)
 def describe(name: str, driver: Driver, device: Device[Any], *, simulated: bool) -> Stream:
     """Description of an open device before its first frame."""
     who = device.identity()
-    stream = Stream(name, driver.kind, driver.name, simulated, who.serial, who.firmware)
-    known = _KNOWN.get(driver.kind)
-    return stream if known is None else dataclasses.replace(stream, **known(device))
+    opened: Any = device
+    known: dict[str, Any] = {}
+    match driver.kind:
+        case "tactile":
+            known = _of_tactile(opened)
+        case "wrench":
+            known = {
+                "channels": 4 if opened.kind is Sensors.FOUR_CHANNEL else 1,
+                "torques": opened.kind is Sensors.SIX_AXIS,
+            }
+        case "arm":
+            known = {"urdf": opened.urdf}
+    return Stream(name, driver.kind, driver.name, simulated, who.serial, who.firmware, **known)
 
 
 def _color(reading: ColorImage, index: int, name: str, device: object) -> Frame:
@@ -102,27 +110,20 @@ def _hand(reading: HandReading, index: int, name: str, device: object) -> Frame:
 
 def _of_tactile(device: Dsa) -> dict[str, Any]:
     pads = tuple(
-        Pad(pad.name, matrix.cells_y, matrix.cells_x, _texel_m(matrix), index, pad.finger, int(pad.part))
+        Pad(
+            pad.name,
+            matrix.cells_y,
+            matrix.cells_x,
+            (matrix.texel_width_mm / 1e3, matrix.texel_height_mm / 1e3),
+            index,
+            pad.finger,
+            int(pad.part),
+        )
         for index, (pad, matrix) in enumerate(zip(device.pads, device.matrices, strict=True))
     )
     full = to_pressure([np.array([[TEXEL_MAX]], np.uint16)] * len(pads), device.config.calibration)
     return {"pads": pads, "full_scale_pa": float(max(map(np.max, full)))}
 
-
-def _texel_m(matrix: MatrixInfo) -> tuple[float, float]:
-    return matrix.texel_width_mm / 1e3, matrix.texel_height_mm / 1e3
-
-
-def _of_wrench(device: Optoforce) -> dict[str, Any]:
-    return {"channels": 4 if device.kind is Sensors.FOUR_CHANNEL else 1, "torques": device.kind is Sensors.SIX_AXIS}
-
-
-def _of_arm(device: Arm[Any]) -> dict[str, Any]:
-    return {"urdf": device.urdf}
-
-
-_KNOWN: dict[Kind, Callable[[Any], dict[str, Any]]] = {"tactile": _of_tactile, "wrench": _of_wrench, "arm": _of_arm}
-"""Further information of a kind of device before its first frame."""
 
 _FRAMES: dict[Kind, Callable[[Any, int, str, Any], Frame]] = {
     "color": _color,

@@ -291,7 +291,11 @@ def load_rig(where: str | Path, *, trusted: bool = False) -> Rig:
     vendors' libraries that it names may be loaded from any folder"""
     text = str(where)
     if text.startswith(LAB_SCHEME):
-        return parse_rig(_scenario(text.removeprefix(LAB_SCHEME)), text)
+        name, names = text.removeprefix(LAB_SCHEME), scenario_names()
+        if name not in names:
+            raise InputError("a simulated rig", text, "one of " + ", ".join(f"lab:{one}" for one in names))
+        scenario = resources.files("deformscope") / "lab" / "scenarios" / f"{name}.toml"
+        return parse_rig(scenario.read_text(encoding="utf-8"), text)
     try:
         content = _read_regular(resolve(text)).decode("utf-8")
     except (OSError, ValueError, RuntimeError) as error:  # RuntimeError: ~ of a user that there is not
@@ -411,7 +415,9 @@ def _read(kind: type[Any], given: object, section: str) -> Any:
     try:
         return msgspec.convert(given, kind)
     except msgspec.ValidationError as error:
-        raise InputError(f"{section} with valid keys", _format_error(error)) from error
+        what, at, place = str(error).partition(" - at `$.")  # Expected `int`, got `str` - at `$.speed`
+        came = f"{place.rstrip('`')}: {what[0].lower()}{what[1:]}" if at else what
+        raise InputError(f"{section} with valid keys", came) from error
     except InputError as error:
         expected, _, came = str(error).removeprefix("expected ").partition("; got ")
         raise InputError(f"{section} with {expected}", came, "lengths in m, forces in N, speeds in m/s") from error
@@ -430,17 +436,3 @@ def _check_keys(given: Mapping[str, object], known: Sequence[str], section: str)
 
 def _line(error: Exception) -> str:
     return " ".join(str(error).split()) or type(error).__name__
-
-
-def _format_error(error: Exception) -> str:
-    """msgspec's `Expected int, got str - at $.speed`, in the words of a rig file."""
-    text = str(error)
-    what, at, place = text.partition(" - at `$.")
-    return f"{place.rstrip('`')}: {what[0].lower()}{what[1:]}" if at else text
-
-
-def _scenario(name: str) -> str:
-    names = scenario_names()
-    if name not in names:
-        raise InputError("a simulated rig", f"lab:{name}", "one of " + ", ".join(f"lab:{one}" for one in names))
-    return (resources.files("deformscope") / "lab" / "scenarios" / f"{name}.toml").read_text(encoding="utf-8")

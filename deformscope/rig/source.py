@@ -17,7 +17,7 @@ from deformscope.rig.measured import describe, to_frame
 from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.device import Device, RawChunk
 from deformscope_drivers.errors import DeviceError
-from deformscope_drivers.health import Health, LinkEvent
+from deformscope_drivers.health import LinkEvent
 from deformscope_drivers.subscription import Subscription
 
 HEALTH_PERIOD_S = 1.0
@@ -148,17 +148,22 @@ class RigSource:
             self._health_at = now_s
             items.append(self.look())
         if self._alarms is None:
-            after_s = {member.name: _stuck_after_s(member.device) for member in self._members}
+            configs = {member.name: getattr(member.device, "config", None) for member in self._members}
+            after_s = {name: getattr(config, "stuck_after_s", None) for name, config in configs.items()}
             self._alarms = SensorAlarms(self.streams, after_s)
         items += self._alarms.look(items)
         return sorted(items, key=host_ns)
 
     def look(self) -> HealthReport:
         """Health of all devices."""
-        looks = tuple((member.name, _plain(member.device.health())) for member in self._members)
-        if self._alarms is not None:
-            looks = tuple((name, dataclasses.replace(look, alarms=self._alarms.of(name))) for name, look in looks)
-        return HealthReport(self._clock(), looks)
+        looks = []
+        for member in self._members:
+            health = member.device.health()  # copied, so that no later count changes the report
+            health = dataclasses.replace(health, refused=dict(health.refused), extra=dict(health.extra))
+            if self._alarms is not None:
+                health = dataclasses.replace(health, alarms=self._alarms.of(member.name))
+            looks.append((member.name, health))
+        return HealthReport(self._clock(), tuple(looks))
 
     def close(self) -> None:
         """Close all devices, even if some of them fail; their last items can still be taken."""
@@ -172,24 +177,14 @@ class RigSource:
         """Remaining items of the queues, in order of time, without waiting and without health."""
         items: list[Item] = []
         for opened in self._opened:
-            items += self._take_from(opened)
+            member = opened.member
+            for reading in _all(opened.readings, opened):
+                items.append(to_frame(member.driver.kind, reading, opened.index, member.name, member.device))
+                opened.index += 1
+            items += [LinkChange(event, member.name) for event in _all(opened.events, opened)]
+            if opened.raw is not None:
+                items += [RawBytes(c.host_ns, c.data, c.sent, member.name) for c in _all(opened.raw, opened)]
         return sorted(items, key=host_ns)
-
-    def _take_from(self, opened: _Opened) -> list[Item]:
-        name, items = opened.member.name, list[Item]()
-        for reading in _all(opened.readings, opened):
-            items.append(to_frame(opened.member.driver.kind, reading, opened.index, name, opened.member.device))
-            opened.index += 1
-        items += [LinkChange(event, name) for event in _all(opened.events, opened)]
-        if opened.raw is not None:
-            items += [RawBytes(c.host_ns, c.data, c.sent, name) for c in _all(opened.raw, opened)]
-        return items
-
-
-def _stuck_after_s(device: Device[Any]) -> float | None:
-    """The stated value of its configuration; None = its readings may stay the same."""
-    found: float | None = getattr(getattr(device, "config", None), "stuck_after_s", None)
-    return found
 
 
 def _all(queue: Subscription[Any], opened: _Opened) -> list[Any]:
@@ -199,8 +194,3 @@ def _all(queue: Subscription[Any], opened: _Opened) -> list[Any]:
     except Exception as error:
         opened.failure = " ".join(str(error).split()) or type(error).__name__
         return []
-
-
-def _plain(health: Health) -> Health:
-    """A look that no later count changes."""
-    return dataclasses.replace(health, refused=dict(health.refused), extra=dict(health.extra))
