@@ -11,8 +11,7 @@ from deformscope.log.layout import RIG
 from deformscope.rig.rig_file import load_rig
 from deformscope.robot.setup import only_device
 from deformscope.runs import arm_commands
-from deformscope_drivers.kuka.config import KukaConfig
-from deformscope_drivers.kuka.controller import controller_files
+from deformscope_drivers.kuka.config import KukaConfig, controller_files
 
 
 def where(config: WhereConfig) -> None:

@@ -23,7 +23,7 @@ from deformscope.runs.opened_devices import setup_of_rig
 from deformscope_drivers.arm import Arm
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.health import Health
-from deformscope_drivers.priority import SENDING, may_be_prompt
+from deformscope_drivers.pacing import SENDING, may_be_prompt
 
 FREE_BYTES_WANTED = 5 << 30
 FIRST_READING_S = 10.0

@@ -39,9 +39,9 @@ from deformscope_drivers.depth_camera import SyntheticDepthCamera, View
 from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig
 from deformscope_drivers.device import Device
 from deformscope_drivers.errors import DeviceError
+from deformscope_drivers.optoforce.config import Sensitivity
 from deformscope_drivers.optoforce.double import OMD_20_SE_40N, OptoforceDouble, Sensors
-from deformscope_drivers.optoforce.sensitivity import Sensitivity
-from deformscope_drivers.priority import SENDING, be_prompt
+from deformscope_drivers.pacing import SENDING, be_prompt
 from deformscope_drivers.wires import PtyWire
 
 PARKED_M = 0.18

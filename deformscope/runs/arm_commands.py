@@ -33,7 +33,7 @@ from deformscope.session import BATCH_S, Inline
 from deformscope.stages.map.exploration import ExplorationStop
 from deformscope.terminal import say
 from deformscope_drivers.errors import DeviceError
-from deformscope_drivers.priority import STEERING, be_prompt
+from deformscope_drivers.pacing import STEERING, be_prompt
 
 if TYPE_CHECKING:
     from deformscope.config import HomeConfig, MovingOptions, WhereConfig

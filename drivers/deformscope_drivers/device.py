@@ -23,7 +23,7 @@ from deformscope_drivers.clock import Clock, ClockFit, Stamp, monotonic_ns
 from deformscope_drivers.errors import DeviceError, LinkLost, NoReply, NotConnected, Stale
 from deformscope_drivers.framing import FrameDecoder, Skipped
 from deformscope_drivers.health import Health, Identity, Link, LinkEvent, Tally
-from deformscope_drivers.priority import READING, be_prompt
+from deformscope_drivers.pacing import READING, be_prompt
 from deformscope_drivers.subscription import Subscription
 from deformscope_drivers.transport import Transport
 

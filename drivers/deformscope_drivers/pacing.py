@@ -1,9 +1,13 @@
-"""Waiting for a moment on a device's own clock, and slots of equal length on an absolute schedule."""
+"""Waiting for a moment on a device's own clock, slots of equal length on an absolute schedule, and threads that the
+system runs before others."""
 
 from __future__ import annotations
 
+import contextlib
+import os
 import threading
 from collections import deque
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
@@ -35,7 +39,7 @@ class Pacer:
         self._woken.set()
 
 
-LATENESS_KEPT = 1000
+LATENESS_COUNT = 1000
 
 
 class SlotPacer:
@@ -47,7 +51,7 @@ class SlotPacer:
         self.missed = 0
         self.latest_ns = 0
         self.due_ns = 0
-        self._lateness_ns: deque[int] = deque(maxlen=LATENESS_KEPT)
+        self._lateness_ns: deque[int] = deque(maxlen=LATENESS_COUNT)
 
     def start(self, now_ns: int) -> None:
         """The first slot is due now."""
@@ -71,3 +75,25 @@ class SlotPacer:
             return 0.0, 0.0, 0.0
         median, high = np.percentile(lately, (50, 99)) / 1e6
         return float(median), float(high), self.latest_ns / 1e6
+
+
+STEERING, READING, SENDING = 10, 11, 12
+"""Priorities of threads that move an arm or a hand, that read its devices, and of a simulated device, which shares the
+machine with them; of 1 to 99, below the system's own (interrupts have 50). Chosen."""
+
+
+def be_prompt(priority: int) -> bool:
+    """Have the calling thread run as soon as it is ready, under any load of the machine (SCHED_RR). Returns whether the
+    system allows this user to. Elsewhere the thread is unchanged. Its child processes are ordinary, at nice 0.
+
+    Such a thread should mostly wait. Another thread of the same program that holds Python's lock still holds it up."""
+    with contextlib.suppress(AttributeError, OSError):  # no Linux; not allowed
+        os.sched_setscheduler(0, os.SCHED_RR | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+        return True
+    return False
+
+
+def may_be_prompt() -> bool:
+    """Whether the system allows this user such threads."""
+    with ThreadPoolExecutor(1) as thread:
+        return thread.submit(be_prompt, SENDING).result()

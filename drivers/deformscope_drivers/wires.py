@@ -15,7 +15,7 @@ from typing import Any, Self
 
 from deformscope_drivers.clock import monotonic_ns
 from deformscope_drivers.doubles import Double
-from deformscope_drivers.priority import SENDING, be_prompt
+from deformscope_drivers.pacing import SENDING, be_prompt
 from deformscope_drivers.transport import CAN_FRAME_BYTES, CHUNK_BYTES, open_bus
 
 LONGEST_WAIT_S = 0.1

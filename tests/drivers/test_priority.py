@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from deformscope_drivers.priority import READING, SENDING, STEERING, be_prompt, may_be_prompt
+from deformscope_drivers.pacing import READING, SENDING, STEERING, be_prompt, may_be_prompt
 from deformscope_drivers.transport import SerialTransport
 from deformscope_drivers.wires import PtyWire
 from tests.drivers.toy import Toy, ToyDouble

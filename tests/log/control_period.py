@@ -20,7 +20,7 @@ from deformscope.frames import Item
 from deformscope.log.layout import RIG, RigLayout
 from deformscope.recording import recorder, rrd_file
 from deformscope.robot.readings import PERIOD_NS
-from deformscope_drivers.priority import STEERING, be_prompt
+from deformscope_drivers.pacing import STEERING, be_prompt
 from tests.log import synthetic_rig as rig
 from tests.log.long_recording import ROUND_S, STREAMS, first_round, later
 

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from deformscope.cli import main
 from deformscope.errors import InputError
 from deformscope.rig.driver_table import DRIVERS
-from deformscope.rig.rig_file import FILE_BYTES, Rig, load_rig, parse_rig
-from deformscope.rig.vendor_library import SYSTEM_FOLDERS, system_library
+from deformscope.rig.rig_file import FILE_BYTES, SYSTEM_FOLDERS, Rig, load_rig, parse_rig, system_library
 from deformscope_drivers.depth_camera.discovery import list_by_openni
 from deformscope_drivers.errors import NotConnected
 from deformscope_drivers.transport import SerialTransport, open_bus
@@ -356,8 +355,8 @@ def system(tmp_path: Path, monkeypatch: Patch) -> Path:
     (folder / "vendor").mkdir(parents=True)
     for each in (folder, folder / "vendor"):
         each.chmod(0o755)
-    monkeypatch.setattr("deformscope.rig.vendor_library.SYSTEM_FOLDERS", (folder,))
-    monkeypatch.setattr("deformscope.rig.vendor_library.ADMINISTRATOR", os.getuid())
+    monkeypatch.setattr("deformscope.rig.rig_file.SYSTEM_FOLDERS", (folder,))
+    monkeypatch.setattr("deformscope.rig.rig_file.ADMINISTRATOR", os.getuid())
     return folder
 
 
@@ -388,7 +387,7 @@ def test_a_library_that_others_could_have_put_there_is_refused(writable: str, sy
 
 def test_a_library_of_another_users_is_refused(system: Path, monkeypatch: Patch) -> None:
     path = library_in(system)
-    monkeypatch.setattr("deformscope.rig.vendor_library.ADMINISTRATOR", os.getuid() + 1)
+    monkeypatch.setattr("deformscope.rig.rig_file.ADMINISTRATOR", os.getuid() + 1)
     with pytest.raises(InputError, match="only the administrator can change"):
         system_library(path)
 

@@ -35,7 +35,7 @@ from deformscope.robot.touch import forces_at
 from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement
 from deformscope_drivers.arm.kinematics import rotation_from_euler_xyz, transform
 from deformscope_drivers.depth_camera.image import depth_m
-from deformscope_drivers.manual_arm.config import MANUAL
+from deformscope_drivers.manual_arm.device import MANUAL
 
 FOLLOW_S = 5.0
 """Time over which the force without contact is followed: it is short enough that a slow press is faster."""

@@ -35,7 +35,7 @@ from deformscope.stages.map.exploration import ExplorationStop, PhaseStart
 from deformscope.stages.map.measured import LookFrames, TouchFrames
 from deformscope.stages.regions.touches import MapGrid
 from deformscope_drivers.depth_camera.image import DepthImage
-from deformscope_drivers.manual_arm.config import MANUAL
+from deformscope_drivers.manual_arm.device import MANUAL
 
 PREFLIGHT_CELL_M = 0.02
 """The outermost places that can be reached are sought on a grid of this."""

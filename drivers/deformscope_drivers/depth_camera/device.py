@@ -16,9 +16,8 @@ from deformscope_drivers.depth_camera.image import DepthImage, Intrinsics
 from deformscope_drivers.device import RECONNECT, Reconnect
 from deformscope_drivers.errors import NotConnected, SettingsRefused
 from deformscope_drivers.frame_message import FrameMessage
-from deformscope_drivers.openni.camera import OpenniSettings
+from deformscope_drivers.openni.camera import OpenniSettings, serve
 from deformscope_drivers.openni.library import library_file
-from deformscope_drivers.openni.process import serve
 
 RECORDING_SUFFIX = ".oni"
 _CAMERA = re.compile(r"(\w[\w:/@.-]*)?")

@@ -8,12 +8,11 @@ from pathlib import Path
 from deformscope_drivers.errors import DeviceError, LibraryMissing, NotConnected
 from deformscope_drivers.hosted import ask_hosted
 from deformscope_drivers.openni import library as openni
+from deformscope_drivers.openni.camera import report_cameras as report_openni
 from deformscope_drivers.openni.library import ListedDevice
-from deformscope_drivers.openni.process import report_cameras as report_openni
 from deformscope_drivers.ports import USB_DEVICES, FoundDevice, UsbDevice, sysfs_text, usb_device
-from deformscope_drivers.realsense.advice import INSTALL, UDEV
-from deformscope_drivers.realsense.camera import ListedRealsense
-from deformscope_drivers.realsense.process import report_cameras as report_realsense
+from deformscope_drivers.realsense.camera import INSTALL, UDEV, ListedRealsense
+from deformscope_drivers.realsense.camera import report_cameras as report_realsense
 
 USB_PORT = "usb:"
 LIST_TIMEOUT_S = 10.0

@@ -11,8 +11,7 @@ from deformscope_drivers.depth_camera.image import Intrinsics
 from deformscope_drivers.device import RECONNECT, Reconnect
 from deformscope_drivers.errors import SettingsRefused
 from deformscope_drivers.frame_message import NO_TIME_US, FrameMessage
-from deformscope_drivers.realsense.camera import PRESETS, RealsenseSettings
-from deformscope_drivers.realsense.process import serve
+from deformscope_drivers.realsense.camera import PRESETS, RealsenseSettings, serve
 
 LIBRARY = "pyrealsense2"
 LONGEST_WARM_UP_S = 10.0

@@ -4,7 +4,9 @@ Nothing is measured here: `place` takes the values that a person reads from a sc
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -23,8 +25,33 @@ from deformscope_drivers.clock import Clock, Stamp, monotonic_ns
 from deformscope_drivers.device import Reconnect
 from deformscope_drivers.errors import MotionStopped, NotMovedByCommands, OutOfLimits
 from deformscope_drivers.health import Identity
-from deformscope_drivers.manual_arm.config import MANUAL, ManualArmConfig
 from deformscope_drivers.pacing import Pacer
+
+MANUAL = "placed"
+"""Model of an arm that a person places: it has no joints that are known."""
+
+
+@dataclass(frozen=True, slots=True)
+class ManualArmConfig:
+    """Settings of an arm without an interface.
+
+    start_m: (3,) initial place of the stick's mount, in the frame that `T_arm_surface` relates to the surface;
+    theta_rad: its rotation about x, the new y, the new z; default: its z axis, along the stick, points down
+    resolution_m: finest step of its scale; no finer one is requested of a person
+    state_hz: how often the pose is reported again"""
+
+    start_m: tuple[float, float, float]
+    theta_rad: tuple[float, float, float] = (math.pi, 0.0, 0.0)
+    resolution_m: float = 1e-4
+    state_hz: float = 50.0
+
+    def __post_init__(self) -> None:
+        if not all(map(math.isfinite, (*self.start_m, *self.theta_rad))):
+            raise ValueError(f"expected a finite start_m and theta_rad; came {self.start_m}, {self.theta_rad}")
+        if not 1e-6 <= self.resolution_m <= 1e-3:
+            raise ValueError(f"expected resolution_m from 1e-6 to 1e-3; came {self.resolution_m!r}")
+        if not 5.0 <= self.state_hz <= 100.0:
+            raise ValueError(f"expected state_hz from 5 to 100; came {self.state_hz!r}")
 
 
 class ManualArm(Arm[ArmState]):
@@ -117,3 +144,22 @@ class ManualArm(Arm[ArmState]):
 
     def _no_commands(self, wanted: str) -> NotMovedByCommands:
         return NotMovedByCommands(wanted, "one that a person places", "place() it", self.name)
+
+
+class StandDouble:
+    """A simulated stand with a stick. T_base_end_effector: (4, 4) true pose of the stick's mount [m], base frame"""
+
+    def __init__(self, T_base_end_effector: npt.ArrayLike) -> None:
+        self.put(T_base_end_effector)
+
+    def put(self, T_base_end_effector: npt.ArrayLike) -> None:
+        """A person places the end effector at this pose (4, 4) in the base frame [m]."""
+        self.T_base_end_effector: FloatArray = np.array(T_base_end_effector, dtype=float)
+
+    @property
+    def T_base_links(self) -> FloatArray:
+        """(1, 4, 4) pose of its end, the only one that is known."""
+        return self.T_base_end_effector[None]
+
+    def push(self, wrench: npt.ArrayLike) -> None:
+        """Push the arm, which is rigid; compliance is not visible on a scale either."""

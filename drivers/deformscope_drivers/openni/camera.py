@@ -1,12 +1,17 @@
-"""A depth camera by OpenNI2, configured and read back; and depth and colour of one moment put together."""
+"""A depth camera by OpenNI2, configured and read back; and depth and colour of one moment put together.
+
+`DepthCamera` runs `serve` in a process of its own (`deformscope_drivers.hosted`): a hang or a crash of the library ends
+neither program nor recording."""
 
 from __future__ import annotations
 
+import time
 from collections import deque
 from dataclasses import dataclass
 
 from deformscope_drivers.errors import LinkLost, SettingsRefused
 from deformscope_drivers.frame_message import INDEX_MASK, FrameMessage
+from deformscope_drivers.hosted import Channel, exit_without_cleanup
 from deformscope_drivers.openni.library import (
     END_OF_FILE,
     MANUAL_SPEED,
@@ -194,3 +199,35 @@ def _to_text(mode: Mode) -> str:
         PixelFormat(mode.pixel_format).name if mode.pixel_format in set(PixelFormat) else f"format {mode.pixel_format}"
     )
     return f"{mode.width}x{mode.height} at {mode.fps} Hz in {form}"
+
+
+# In the camera's own process ----------------------------------------------------------------------------------------
+
+ROUND_S = 0.05
+
+
+def serve(channel: Channel, settings: OpenniSettings) -> None:
+    """Read a camera until the other end is closed. Raises DeviceError."""
+    exit_without_cleanup()  # the library's own crashes
+    camera = OpenniCamera(settings)
+    channel.send("opened", camera.words())
+    camera.start()
+    pairs = Pairs(camera.depth.mode().fps, wanted=settings.color)
+    while not channel.poll():
+        try:
+            frame = camera.next(ROUND_S)
+        except EOFError:
+            for pair in pairs.rest():
+                channel.send("frame", pair)
+            channel.send("end")
+            break
+        if frame is not None:
+            for pair in pairs.add(frame, time.monotonic_ns()):
+                channel.send("frame", pair)
+    camera.close()
+
+
+def report_cameras(channel: Channel) -> None:
+    """Report the cameras that OpenNI2 sees. Raises LibraryMissing."""
+    exit_without_cleanup()  # the library's own crashes
+    channel.send("opened", Openni().devices())

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from deformscope_drivers.doubles import Line
+from deformscope_drivers.optoforce.config import Sensitivity
 from deformscope_drivers.optoforce.protocol import (
     AXES,
     CommandDecoder,
@@ -27,7 +28,6 @@ from deformscope_drivers.optoforce.protocol import (
     Zero,
     encode,
 )
-from deformscope_drivers.optoforce.sensitivity import Sensitivity
 
 SAMPLE_NS = 1_000_000
 """The DAQ samples and filters at 1 kHz, whatever its speed."""

@@ -12,9 +12,9 @@ import numpy.typing as npt
 
 from deformscope_drivers.clock import Stamp
 from deformscope_drivers.errors import DeviceError, SettingsRefused
+from deformscope_drivers.optoforce.config import Sensitivity
 from deformscope_drivers.optoforce.counter import CounterStep, CounterTrack, Gap
 from deformscope_drivers.optoforce.protocol import DaqState, Kind, Reading, SensorState, Status
-from deformscope_drivers.optoforce.sensitivity import Sensitivity
 
 PLAUSIBLE_RATIO = 2.0
 """Largest plausible reading, as a multiple of the nominal force: about the end of the sensor's range."""

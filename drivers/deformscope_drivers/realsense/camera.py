@@ -2,10 +2,12 @@
 
 Frames come through a frame queue. `pipeline.wait_for_frames` is not used: after the loss of a camera it blocks for up
 to 15 s, and restarts it without the settings (librealsense, src/pipeline/pipeline.cpp). `rs`: the module pyrealsense2,
-or its replacement."""
+or its replacement. `Realsense` runs `serve` in a process of its own (`deformscope_drivers.hosted`): a hang or a crash
+of the library ends neither program nor recording."""
 
 from __future__ import annotations
 
+import importlib
 import threading
 import time
 from dataclasses import dataclass
@@ -13,9 +15,19 @@ from types import ModuleType
 from typing import Any
 
 from deformscope_drivers.clock import Unwrap
-from deformscope_drivers.errors import DeviceError, LinkLost, NotConnected, SettingsRefused
+from deformscope_drivers.errors import Busy, DeviceError, LibraryMissing, LinkLost, NotConnected, SettingsRefused
 from deformscope_drivers.frame_message import INDEX_MASK, NO_TIME_US, FrameMessage
-from deformscope_drivers.realsense.advice import NO_PICTURES, UDEV, meaning
+from deformscope_drivers.hosted import Channel, exit_without_cleanup
+
+INSTALL = "pip install deformscope[realsense]"
+UDEV = (
+    "librealsense's udev rules (config/99-realsense-libusb.rules into /etc/udev/rules.d), then reconnect it; "
+    "in a container pass /dev through as a whole"
+)
+NO_PICTURES = "a USB 3 port of the computer itself and the camera's own cable; reconnect it"
+_BUSY = ("busy", "errno=16", "failed to set power state")
+_DENIED = ("status_access", "permission denied", "operation not permitted", "errno=13", "errno=1,")
+
 
 PRESETS = (
     *("custom", "default", "hand", "high_accuracy", "high_density", "medium_density"),
@@ -320,6 +332,54 @@ def _packed(frame: Any, pixel_bytes: int) -> bytes:
     return data
 
 
-def as_device_error(error: Exception) -> DeviceError:
-    """The reason for the process's end, unless it was a device's error already."""
-    return error if isinstance(error, DeviceError) else meaning(error, "a RealSense camera", "realsense")
+# In the camera's own process ----------------------------------------------------------------------------------------
+
+ROUND_S = 0.05
+
+
+def load(module: str) -> Any:
+    """The library. Raises LibraryMissing."""
+    exit_without_cleanup()  # the library's own crashes now and then once a camera is gone (librealsense, issue 14470)
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise LibraryMissing("pyrealsense2", str(error), INSTALL, "realsense") from error
+
+
+def serve(channel: Channel, settings: RealsenseSettings, module: str) -> None:
+    """Read a camera until the other end is closed. Raises DeviceError."""
+    try:
+        camera = RealsenseCamera(settings, load(module))
+        channel.send("opened", camera.words())
+        while not channel.poll():
+            frame = camera.next(ROUND_S)
+            for note in camera.take_notes():
+                channel.send("note", note)
+            if frame is not None:
+                channel.send("frame", frame)
+        camera.close()
+    except (DeviceError, RuntimeError) as error:
+        if isinstance(error, DeviceError):
+            raise
+        raise meaning(error, "a RealSense camera", "realsense") from error
+
+
+def report_cameras(channel: Channel, module: str) -> None:
+    """Report the cameras that librealsense sees. Raises LibraryMissing."""
+    channel.send("opened", listed(load(module)))
+
+
+def meaning(error: Exception, expected: str, where: str) -> DeviceError:
+    """The error of a device's that an error of the library's is.
+
+    librealsense words them by the failure below it: `xioctl(VIDIOC_S_FMT) failed, errno=16 Last Error: Device or
+    resource busy` and `failed to set power state` for a camera that another program uses (issues 1828, 12382, 6555).
+    Without udev rules it is `RS2_USB_STATUS_ACCESS` (issue 4951; realsense-ros 1408)."""
+    words = " ".join(str(error).split())
+    lower = words.lower()
+    if any(sign in lower for sign in _BUSY):
+        what = "close other programs that read it: realsense-viewer, a ROS node, an earlier run"
+        return Busy(f"{expected} that no other program reads", words, what, where)
+    if any(sign in lower for sign in _DENIED):
+        return NotConnected(f"{expected} that this user may open", words, UDEV, where)
+    return NotConnected(expected, words or type(error).__name__, "reconnect it", where)

@@ -11,7 +11,7 @@ from deformscope_drivers.clock import Clock, ClockFit, Stamp, monotonic_ns
 from deformscope_drivers.device import RECONNECT, Device, Reconnect
 from deformscope_drivers.errors import LinkLost, NotConnected, SettingsRefused
 from deformscope_drivers.images import QUEUE_IMAGES, ColorImage, fingerprint
-from deformscope_drivers.ports import stable_name
+from deformscope_drivers.ports import FoundDevice, stable_name, sysfs_text, usb_device
 from deformscope_drivers.webcam.capture import Capture, Setting, open_v4l2
 
 EXPOSURE_UNIT_S = 1e-4
@@ -194,3 +194,27 @@ def _to_text(setting: Setting, value: float | None) -> str:
     if setting is Setting.FOURCC:
         return f"{name} {int(value).to_bytes(4, 'little').decode('latin-1')!r}"
     return f"{name} {value:g}"
+
+
+def discover(sysfs: Path = Path("/sys"), dev: Path = Path("/dev")) -> list[FoundDevice]:
+    """Every V4L2 camera, by its stable name where there is one.
+
+    A camera's further nodes (metadata, which give no images) are left out. sysfs, dev: where those folders are"""
+    nodes = sysfs / "class" / "video4linux"
+    found = []
+    for node in sorted(nodes.glob("video*"), key=lambda path: (len(path.name), path.name)) if nodes.is_dir() else []:
+        if sysfs_text(node / "index") not in ("", "0"):
+            continue
+        device = dev / node.name
+        port = stable_name(str(device), dev / "v4l" / "by-id")
+        name = sysfs_text(node / "name")
+        usb, interface = None, node / "device"
+        if interface.exists():  # it names an interface, a folder below the USB device's
+            folder = interface.resolve()
+            usb = usb_device(folder) or usb_device(folder.parent)
+        notes = [] if port == str(device) else [str(device)]
+        if usb is not None:
+            notes.append(f"usb {usb.vendor:04x}:{usb.product:04x}")
+        serial, revision = (usb.serial, usb.revision) if usb is not None else ("", "")
+        found.append(FoundDevice("webcam", port, name, serial, revision, ", ".join(notes)))
+    return found

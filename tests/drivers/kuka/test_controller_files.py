@@ -8,7 +8,7 @@ import pytest
 
 from deformscope.cli import main
 from deformscope_drivers.kuka import KukaConfig
-from deformscope_drivers.kuka.controller import FOLDER, TIMEOUT_S, controller_files
+from deformscope_drivers.kuka.config import FOLDER, TIMEOUT_S, controller_files
 from deformscope_drivers.kuka.device import PROBE_DEG, PROBE_LEFT_OUT
 
 AXES = [f"AK.A{axis}" for axis in range(1, 7)]

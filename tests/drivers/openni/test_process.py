@@ -5,13 +5,13 @@ import sys
 
 from deformscope_drivers.errors import LibraryMissing
 from deformscope_drivers.hosted import ask_hosted, hosted_environment
+from deformscope_drivers.openni.camera import report_cameras
 from deformscope_drivers.openni.library import ListedDevice
-from deformscope_drivers.openni.process import report_cameras
 from tests.patience import PATIENCE_S
 
 
 def test_it_starts_without_what_takes_long_to_load() -> None:
-    script = "import sys, deformscope_drivers.openni.process; print('numpy' in sys.modules)"
+    script = "import sys, deformscope_drivers.openni.camera; print('numpy' in sys.modules)"
     shown = subprocess.run(
         [sys.executable, "-S", "-c", script],
         env=hosted_environment(),
