@@ -240,12 +240,10 @@ def _arm_parts(path: Path, chain: Chain, share: float, removal: Removal) -> list
 def _solids(drawn: Sequence[Solid], T: FloatArray, removal: Removal) -> list[Solid]:
     """Solids of a link, T (4, 4) in its arm frame [m]: all that is drawn of it, or its convex hull (Thesis 4.4)."""
     moved = [one.moved(T) for one in drawn]
-    return [_hull(moved)] if removal == "hull" and moved else moved
-
-
-def _hull(drawn: Sequence[Solid]) -> Solid:
+    if removal != "hull" or not moved:
+        return moved
     from scipy.spatial import ConvexHull
 
-    vertices = np.concatenate([one.vertices_m for one in drawn])
+    vertices = np.concatenate([one.vertices_m for one in moved])
     used, triangles = np.unique(ConvexHull(vertices).simplices, return_inverse=True)
-    return Solid(vertices[used], triangles.reshape(-1, 3).astype(np.uint32))
+    return [Solid(vertices[used], triangles.reshape(-1, 3).astype(np.uint32))]

@@ -52,13 +52,13 @@ def press_by_finger(
     robot.start()
     press_n = min(PRESS_N, robot.supervisor.limits.hard_force_n / (1.2 * THIRD))
     say(FINGER.format(press_n, 100.0 * press_n))
-    rest_n = np.mean([_felt_n(robot) for _ in range(HELD_PERIODS)], axis=0)
+    rest_n = np.mean([_tip_force_n(robot) for _ in range(HELD_PERIODS)], axis=0)
     least_n, most_n = max(press_n / THIRD, set_n), THIRD * press_n
     right, came, held, pushes = False, "nothing", list[FloatArray](), 0
     try:
         press(np.array([0.0, 0.0, press_n]))
         for _ in range(round(100 * patience_s)):
-            force_n = _felt_n(robot) - rest_n
+            force_n = _tip_force_n(robot) - rest_n
             held = [*held, force_n] if np.linalg.norm(force_n) > BEGUN_N else []
             if not held and (right or pushes == PUSHES):  # the finger is gone
                 break
@@ -75,7 +75,7 @@ def press_by_finger(
     return Check("force sensor: finger", right, wanted, came)
 
 
-def _felt_n(robot: Robot) -> FloatArray:
+def _tip_force_n(robot: Robot) -> FloatArray:
     """(3,) mean force on the tip in the next control period, surface frame [N]."""
     forces_n = [robot.force_on_tip_n(sample) for sample in robot.cycle().forces]
     return np.asarray(np.mean(forces_n, axis=0)) if forces_n else np.zeros(3)

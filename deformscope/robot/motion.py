@@ -72,7 +72,12 @@ def rates_for_twist(
     the end of its range. If a joint would be too fast, all are slowed by the same factor: the direction stays."""
     joints = np.asarray(joints_deg, dtype=float)
     jacobian = jacobian_of(chain.forward(joints))
-    rates = damped_joint_rates(jacobian, twist, DAMPED_BELOW, _away_from_limits(chain, joints))
+    away = None
+    if chain.joint_count > 6:  # one joint to spare: away from limits that are near
+        low = np.clip(1.0 - (joints - chain.lower_deg) / AWAY_DEG, 0.0, 1.0)
+        high = np.clip(1.0 - (chain.upper_deg - joints) / AWAY_DEG, 0.0, 1.0)
+        away = np.radians(AWAY_DEG_S * (low - high))
+    rates = damped_joint_rates(jacobian, twist, DAMPED_BELOW, away)
     lost = off_course(jacobian, rates, twist)
     if lost > OFF_COURSE and lost * twist_size(twist) > OFF_COURSE_M_S:
         least = f"smallest singular value {least_singular(jacobian):.3f}, damped below {DAMPED_BELOW:g}"
@@ -156,12 +161,3 @@ class CommandedRotation:
 
 def _blocked(chain: Chain, fault: Fault, reason: str) -> JointMotion:
     return JointMotion(np.zeros(chain.joint_count), 0.0, fault, reason)
-
-
-def _away_from_limits(chain: Chain, joints_deg: FloatArray) -> FloatArray | None:
-    """(n,) rates [rad/s] away from joint limits that are near; None for an arm without a joint to spare."""
-    if chain.joint_count <= 6:
-        return None
-    low = np.clip(1.0 - (joints_deg - chain.lower_deg) / AWAY_DEG, 0.0, 1.0)
-    high = np.clip(1.0 - (chain.upper_deg - joints_deg) / AWAY_DEG, 0.0, 1.0)
-    return np.radians(AWAY_DEG_S * (low - high))

@@ -91,7 +91,7 @@ def check(
     seen = [robot.cycle() for _ in range(LOOK_PERIODS)]
     return Preflight(
         (
-            *_devices(robot, seen, _configured_rates(robot)),
+            *_devices(robot, seen),
             *_force(robot, seen),
             *_arm(robot, seen),
             *_clocks(robot, seen),
@@ -112,14 +112,10 @@ def check(
     )
 
 
-def _configured_rates(robot: Robot) -> dict[str, float]:
-    rates = {"arm": robot.arm.state_hz, "force sensor": float(robot.force.config.rate_hz)}
+def _devices(robot: Robot, seen: Sequence[RobotObservation]) -> Iterator[Check]:
+    rates_hz = {"arm": robot.arm.state_hz, "force sensor": float(robot.force.config.rate_hz)}
     if robot.camera is not None:
-        rates["camera"] = 1.0 / robot.supervisor.limits.camera_period_s
-    return rates
-
-
-def _devices(robot: Robot, seen: Sequence[RobotObservation], rates_hz: Mapping[str, float]) -> Iterator[Check]:
+        rates_hz["camera"] = 1.0 / robot.supervisor.limits.camera_period_s
     devices: dict[str, tuple[Device[Any] | ForceSensor | None, int]] = {
         "arm": (robot.arm, sum(len(one.arms) for one in seen)),
         "force sensor": (robot.force, sum(len(one.forces) for one in seen)),

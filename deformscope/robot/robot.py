@@ -89,10 +89,8 @@ class JointRates:
 Command = TipVelocity | JointRates | None
 
 
-class Waits(Protocol):
-    """Lets time pass until a moment of the clock [ns]."""
-
-    def __call__(self, until_ns: int, /) -> None: ...
+Waits = Callable[[int], None]
+"""Lets time pass until a moment of the clock [ns]."""
 
 
 def sleep_until(until_ns: int) -> None:

@@ -19,7 +19,6 @@ from deformscope.robot.squeeze_plan import CLOSING_AXES, GripShape
 from deformscope.robot.squeeze_supervisor import SqueezeDecision, SqueezeFault, SqueezeObservation, SqueezeSupervisor
 from deformscope_drivers.clock import Clock
 from deformscope_drivers.dsa import Dsa
-from deformscope_drivers.dsa.measurer import TactileReading
 from deformscope_drivers.dsa.pads import Pad, Part
 from deformscope_drivers.errors import DeviceError, LinkLost, NoReply, NotConnected
 from deformscope_drivers.health import Link
@@ -233,7 +232,13 @@ class SqueezeRobot:
 
     def _look(self) -> SqueezeObservation:
         self.hand_readings = tuple(taken(self._hands))
-        self.tactile_frames = tuple(self._fingertips(reading) for reading in taken(self._frames))
+        frames = []
+        for reading in taken(self._frames):
+            pads = [reading.pads[matrix].astype(np.int64) for matrix in self._matrices]
+            sums = np.array([pad.sum() for pad in pads], np.float64)
+            peak = max(int(pad.max()) for pad in pads)
+            frames.append(FingertipFrame(reading.stamp.host_ns, sums, peak, tuple(pads)))
+        self.tactile_frames = tuple(frames)
         temperatures = [one.temperature_c for one in self.hand_readings if one.temperature_c is not None]
         return SqueezeObservation(
             self._clock(),
@@ -248,8 +253,3 @@ class SqueezeRobot:
                 if device.link is not Link.CONNECTED
             ),
         )
-
-    def _fingertips(self, reading: TactileReading) -> FingertipFrame:
-        pads = [reading.pads[matrix].astype(np.int64) for matrix in self._matrices]
-        sums = np.array([pad.sum() for pad in pads], np.float64)
-        return FingertipFrame(reading.stamp.host_ns, sums, max(int(pad.max()) for pad in pads), tuple(pads))

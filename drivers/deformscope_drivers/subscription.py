@@ -24,7 +24,7 @@ class Subscription(Generic[T]):
         self.dropped = 0
         self._leave = leave
         self._items: deque[T] = deque()
-        self._ended = False
+        self.ended = False  # nothing can come any more; items may still wait
         self._error: BaseException | None = None
         self._changed = threading.Condition()
 
@@ -57,7 +57,7 @@ class Subscription(Generic[T]):
             while not self._items:
                 if self._error is not None:
                     raise self._error
-                if self._ended:
+                if self.ended:
                     raise _Ended("no more readings")
                 left = None if until is None else until - time.monotonic()
                 if left is not None and left <= 0:
@@ -74,11 +74,6 @@ class Subscription(Generic[T]):
                 raise self._error
         return items
 
-    @property
-    def ended(self) -> bool:
-        """Whether nothing can come any more; items may still wait."""
-        return self._ended
-
     def close(self) -> None:
         """Receive no more items."""
         self._leave(self)
@@ -87,7 +82,7 @@ class Subscription(Generic[T]):
     def put(self, item: T) -> bool:
         """Add an item, as the device does; returns whether another one was dropped for it."""
         with self._changed:
-            if self._ended:
+            if self.ended:
                 return False
             lost = len(self._items) >= self.capacity
             if lost:
@@ -101,7 +96,7 @@ class Subscription(Generic[T]):
     def end(self, error: BaseException | None = None) -> None:
         """Called by the device when nothing more will come. error: why"""
         with self._changed:
-            self._ended = True
+            self.ended = True
             self._error = self._error or error
             self._changed.notify_all()
 

@@ -47,7 +47,7 @@ class HostedCamera(Device[DepthImage]):
         self._silence_s = silence_s
         self._hosted = HostedProcess("the process that reads the camera", name, END_TIMEOUT_S)
         self._reported: dict[str, Any] = {}
-        self._intrinsics: Intrinsics | None = None
+        self.intrinsics: Intrinsics | None = None  # of the depth pictures, as the opened camera reports them
         self._heard_ns = 0
         self._last_index: int | None = None
         self._notes: list[str] = []
@@ -61,11 +61,6 @@ class HostedCamera(Device[DepthImage]):
     def serial(self) -> str:
         """The camera's serial number, once it was opened; empty where it reports none."""
         return str(self._reported.get("serial", ""))
-
-    @property
-    def intrinsics(self) -> Intrinsics | None:
-        """Intrinsics of the depth pictures as the opened camera reports them; None where it reports none."""
-        return self._intrinsics
 
     @property
     def process_id(self) -> int | None:
@@ -115,7 +110,7 @@ class HostedCamera(Device[DepthImage]):
         if report is None:
             raise NotConnected("a depth camera", f"none within {OPEN_TIMEOUT_S:g} s", "reconnect it", self.name)
         self._reported = report
-        self._intrinsics = self._projection()
+        self.intrinsics = self._projection()
         self._heard_ns = self._clock()
         self._last_index = None
         self._notes.clear()
@@ -164,7 +159,7 @@ class HostedCamera(Device[DepthImage]):
         color = None
         if frame.color:
             color = np.frombuffer(frame.color, np.uint8).reshape(frame.color_height, frame.color_width, 3)
-        return [DepthImage(stamp, depth, float(self._reported["unit_m"]), color, self._intrinsics)]
+        return [DepthImage(stamp, depth, float(self._reported["unit_m"]), color, self.intrinsics)]
 
     def _before(self, index: int, last: int) -> int:
         """The index that the last frame would have, had the counter not begun again."""

@@ -85,7 +85,7 @@ class Dsa(StreamDevice[TactileReading]):
         self.config = config
         self._controller: messages.ControllerInfo | None = None
         self._sensor: messages.SensorInfo | None = None
-        self._matrices: tuple[messages.MatrixInfo, ...] = ()
+        self.matrices: tuple[messages.MatrixInfo, ...] = ()  # matrix = 2 * finger + part, by `Pad.of_matrix`
         self._begin()
 
     def open(self, *, own_thread: bool = True) -> Self:
@@ -107,14 +107,9 @@ class Dsa(StreamDevice[TactileReading]):
         return self._known(self._sensor)
 
     @property
-    def matrices(self) -> tuple[messages.MatrixInfo, ...]:
-        """Each matrix's geometry; matrix = 2 * finger + part, by `Pad.of_matrix`. Empty before opening."""
-        return self._matrices
-
-    @property
     def pads(self) -> tuple[Pad, ...]:
         """The pads by matrix."""
-        return tuple(Pad.of_matrix(matrix) for matrix in range(len(self._matrices)))
+        return tuple(Pad.of_matrix(matrix) for matrix in range(len(self.matrices)))
 
     # What a reading means --------------------------------------------------------------------------------------------
 
@@ -127,7 +122,7 @@ class Dsa(StreamDevice[TactileReading]):
         pressures_pa = self.pressure_pa(reading)
         return [
             pad_contact(counts, pressure_pa, matrix)
-            for counts, pressure_pa, matrix in zip(reading.pads, pressures_pa, self._matrices, strict=True)
+            for counts, pressure_pa, matrix in zip(reading.pads, pressures_pa, self.matrices, strict=True)
         ]
 
     # Commands: may be called from any thread -------------------------------------------------------------------------
@@ -184,7 +179,7 @@ class Dsa(StreamDevice[TactileReading]):
         cells = sum(matrix.cells for matrix in matrices)
         if not 0 < cells <= CELLS_MAX:
             raise ProtocolViolation(f"matrices of 1 to {CELLS_MAX} texels in all", f"{cells}", where=self.name)
-        self._matrices = matrices
+        self.matrices = matrices
         self._measurer.describe([(matrix.cells_y, matrix.cells_x) for matrix in matrices])
         for matrix, sensitivity in self._by_matrix("sensitivity", self.config.sensitivity):
             self._set_sensitivity(matrix, sensitivity)
@@ -236,8 +231,8 @@ class Dsa(StreamDevice[TactileReading]):
         """The configured values, each with its matrix; None = all of them."""
         if not isinstance(value, tuple):
             return [] if value is None else [(None, value)]
-        if len(value) != len(self._matrices):
-            expected = f"a {name} for each of {len(self._matrices)} matrices"
+        if len(value) != len(self.matrices):
+            expected = f"a {name} for each of {len(self.matrices)} matrices"
             raise SettingsRefused(expected, f"{len(value)}", "one number for all", self.name)
         return list(enumerate(value))
 
@@ -247,7 +242,7 @@ class Dsa(StreamDevice[TactileReading]):
         self._acknowledged(messages.SetSensitivity(flags, matrix or 0, wanted), "set sensitivity")
         if self.controller.software_version < SENSITIVITY_READ_BACK_FROM:
             return
-        for index in range(len(self._matrices)) if matrix is None else (matrix,):
+        for index in range(len(self.matrices)) if matrix is None else (matrix,):
             reported = self._query(messages.QuerySensitivity(index), messages.SensitivityInfo, "query of sensitivity")
             if not abs(reported.current - wanted) <= SENSITIVITY_TOLERANCE:
                 expected = f"sensitivity {wanted:g} of matrix {index}"
@@ -261,7 +256,7 @@ class Dsa(StreamDevice[TactileReading]):
             raise SettingsRefused(f"firmware {THRESHOLD_FROM} for thresholds", f"{version}", advice, self.name)
         flags = messages.Adjust.ALL if matrix is None else 0
         self._acknowledged(messages.SetThreshold(flags, matrix or 0, wanted), "set threshold")
-        for index in range(len(self._matrices)) if matrix is None else (matrix,):
+        for index in range(len(self.matrices)) if matrix is None else (matrix,):
             reported = self._query(messages.QueryThreshold(index), messages.ThresholdInfo, "query of threshold")
             if reported.threshold != wanted:
                 raise SettingsRefused(f"threshold {wanted} of matrix {index}", f"{reported.threshold}", where=self.name)

@@ -97,28 +97,23 @@ class Library:
         """path: the library, or the folder that holds it; None leaves the search to the system's loader."""
         if connection not in PREFIXES:
             raise ValueError(f"expected a connection among {', '.join(PREFIXES)}; came {connection!r}")
-        self._path = LIBRARY_NAMES[connection] if path is None else str(library_file(path, connection))
+        self.where = LIBRARY_NAMES[connection] if path is None else str(library_file(path, connection))
         self._prefix = PREFIXES[connection]
         self._handle: ctypes.CDLL | None = None
         self._functions: dict[str, Callable[..., int]] = {}
-
-    @property
-    def where(self) -> str:
-        """The library's path, or the name that the loader is given."""
-        return self._path
 
     def load(self) -> ctypes.CDLL:
         """The loaded library; raises LibraryMissing with the searched places."""
         if self._handle is None:
             try:
-                self._handle = ctypes.CDLL(self._path)
+                self._handle = ctypes.CDLL(self.where)
             except OSError as error:
                 raise LibraryMissing(
                     "the vendor's library",
                     str(error),
                     "get it from Kinova (it is in the kinova-ros repository, kinova_driver/lib) and give its path, "
                     "or put its folder into LD_LIBRARY_PATH before this program starts",
-                    self._path,
+                    self.where,
                 ) from error
         return self._handle
 
@@ -135,7 +130,7 @@ class Library:
                     f"a library that exports {symbol}",
                     "none of that name",
                     "check that the connection (usb or ethernet) is that of the library, and its version (5.2.0)",
-                    self._path,
+                    self.where,
                 ) from error
             found.argtypes = SIGNATURES[name]
             found.restype = c_int

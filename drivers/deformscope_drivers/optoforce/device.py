@@ -95,11 +95,6 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         """(channels, axes) counts that `zero` took away; None = nothing was taken away."""
         return self._measurer.offset
 
-    @property
-    def acknowledges(self) -> bool | None:
-        """Whether the DAQ answered the last settings; None before the first."""
-        return self._acknowledges
-
     def set_speed(self, rate_hz: float) -> None:
         """Have it send at another rate, as `OptoforceConfig.rate_hz`; 0 = stop. Raises CommandRefused."""
         speed = speed_of(rate_hz)
@@ -191,7 +186,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
     def _begin_session(self) -> None:
         self._settings = DaqSettings(speed_of(self.config.rate_hz), filter_of(self.config.filter_hz))
         self._measurer = ForceMeasurer(self.config.sensitivities, self.name)
-        self._acknowledges: bool | None = None
+        self.acknowledges: bool | None = None  # whether the DAQ answered the last settings
         self._serial = ""
         self._restart = ""
         self._zero_in_doubt = False
@@ -221,10 +216,10 @@ class Optoforce(StreamDevice[ForceMeasurement]):
                 what="an acknowledgement",
             )
         except NoReply:
-            self._acknowledges = False
+            self.acknowledges = False
             self._unacknowledged += 1
         else:
-            self._acknowledges = True
+            self.acknowledges = True
             self._zero_in_doubt = False
             if reply.result != 0:
                 raise CommandRefused(reply.result, "settings refused", f"setting {wanted}", where=self.name)
