@@ -239,9 +239,19 @@ def with_flags(kind: type, run: Callable[[Any], object], args: Sequence[str], pr
 
 def run_options(options: CommandOptions, run: Callable[[Any], object]) -> int:
     """Check the files of a command's options, run it, and list what it wrote."""
-    _check_files(options)
-    from deformscope.cli.common import json_alone, list_written
+    from deformscope.cli.common import check_writable, json_alone, list_written
 
+    # no output may be out of reach, be another's output too, or replace an input
+    inputs = {os.path.realpath(source) for source in options.reads()}
+    flags: dict[str, str] = {}
+    for file in options.writes():
+        path = os.path.realpath(file.path)
+        if path in inputs:
+            raise InputError(f"a file after {file.flag} that is no input", "an input", "another name", file.path)
+        if path in flags and not file.path.is_char_device():
+            raise InputError(f"different files after {flags[path]} and {file.flag}", "the same twice", where=file.path)
+        flags[path] = file.flag
+        check_writable(file.path, file.flag, replace=file.replace)
     with json_alone(options.json_target()), list_written(options):
         status = run(options)
     return status if isinstance(status, int) else 0
@@ -372,25 +382,6 @@ def _usage_error(boxed: str, prog: str) -> InputError:
         unknown = found[1].replace(", ", " ")
         return InputError(f"only known flags for {prog}", unknown, meant[1] if meant else help_hint)
     return _UsageError(text or "the command line was not understood", help_hint)
-
-
-def _check_files(options: CommandOptions) -> None:
-    """No output may be out of reach, be another's output too, or replace an input."""
-    written = options.writes()
-    if not written:
-        return
-    from deformscope.cli.common import check_writable
-
-    inputs = {os.path.realpath(source) for source in options.reads()}
-    flags: dict[str, str] = {}
-    for file in written:
-        path = os.path.realpath(file.path)
-        if path in inputs:
-            raise InputError(f"a file after {file.flag} that is no input", "an input", "another name", file.path)
-        if path in flags and not file.path.is_char_device():
-            raise InputError(f"different files after {flags[path]} and {file.flag}", "the same twice", where=file.path)
-        flags[path] = file.flag
-        check_writable(file.path, file.flag, replace=file.replace)
 
 
 # Reporting errors -----------------------------------------------------------------------------------------------------

@@ -23,9 +23,22 @@ def run(config: DoubleConfig) -> None:
     """Run doubles until Ctrl-C, and print the rig that reaches them."""
     if not config.what:
         raise InputError("drivers to double", "none", "deformscope double optoforce dsa, or lab:bench")
+    wanted: list[tuple[str, str, Any]] = []  # name, driver and configuration of each
+    for word in config.what:
+        if word in DRIVERS:
+            number = sum(driver == word for _, driver, _ in wanted)
+            wanted.append((word if not number else f"{word}-{number + 1}", word, DRIVERS[word].config_class()()))
+            continue
+        rig = load_rig(word)
+        wired = [d for d in rig.devices if d.driver.name in WIRED]
+        if others := [d.name for d in rig.devices if d not in wired]:
+            say(f"{', '.join(others)}: simulated only within a command, by double = true in the rig file")
+        if not wired:
+            raise InputError(f"a rig with devices of {', '.join(WIRED)}", "none", where=word)
+        wanted += [(d.name, d.driver.name, d.config) for d in wired]
     with until_interrupted() as asked, contextlib.ExitStack() as stack:
         running: list[tuple[str, str, Wire]] = []
-        for name, driver, settings in _wanted(config.what):
+        for name, driver, settings in wanted:
             if driver not in WIRED:
                 known = ", ".join(WIRED)
                 raise InputError(f"drivers with a byte protocol: {known}; a rig file; or lab:NAME", repr(driver))
@@ -37,21 +50,3 @@ def run(config: DoubleConfig) -> None:
             print(f'[devices.{name}]\ndriver = "{driver}"\n{key} = "{wire.port}"\n', flush=True)
         say("doubles are running: Ctrl-C ends them")
         asked.wait(config.seconds)
-
-
-def _wanted(what: tuple[str, ...]) -> list[tuple[str, str, Any]]:
-    """Name, driver and configuration of every requested double."""
-    wanted: list[tuple[str, str, Any]] = []
-    for word in what:
-        if word in DRIVERS:
-            number = sum(driver == word for _, driver, _ in wanted)
-            wanted.append((word if not number else f"{word}-{number + 1}", word, DRIVERS[word].config_class()()))
-        else:
-            rig = load_rig(word)
-            wired = [d for d in rig.devices if d.driver.name in WIRED]
-            if others := [d.name for d in rig.devices if d not in wired]:
-                say(f"{', '.join(others)}: simulated only within a command, by double = true in the rig file")
-            if not wired:
-                raise InputError(f"a rig with devices of {', '.join(WIRED)}", "none", where=word)
-            wanted += [(d.name, d.driver.name, d.config) for d in wired]
-    return wanted

@@ -21,7 +21,17 @@ if TYPE_CHECKING:
 def run(config: ExploreConfig) -> int:
     """Explore a simulated scene, or a rig. Returns the command's exit status."""
     if config.list_scenarios:
-        _list()
+        from deformscope.lab.faults import Injected
+        from deformscope.lab.scenes import BUILT_IN, BURIED, DRAWN
+
+        print("simulated scenes; other hardnesses in newtons are possible (lab:two-80-200):")
+        for name in BUILT_IN | BURIED:
+            kind = next((kind for kind in DRAWN if name.startswith(kind)), name)
+            drawn = ", ".join(f"{one.what} {one.low:g} to {one.high:g}" for one in DRAWN[kind])
+            print(f"  lab:{name:<22} {drawn or 'nothing is drawn'}")
+        print("faults that can be injected (--fault KIND@TOUCH):")
+        for injected in Injected:
+            print(f"  {injected.word:<26} {injected}")
         return 0
     from deformscope.recording.losses import named
     from deformscope.runs.exploration_run import explore_on
@@ -85,17 +95,3 @@ def _map_file(config: ExploreConfig, maps: MapEstimate) -> bytes:
     file = io.BytesIO()
     np.savez_compressed(file, allow_pickle=False, units=json.dumps(units), **map_arrays(maps), **made_by)
     return file.getvalue()
-
-
-def _list() -> None:
-    from deformscope.lab.faults import Injected
-    from deformscope.lab.scenes import BUILT_IN, BURIED, DRAWN
-
-    print("simulated scenes; other hardnesses in newtons are possible (lab:two-80-200):")
-    for name in BUILT_IN | BURIED:
-        kind = next((kind for kind in DRAWN if name.startswith(kind)), name)
-        drawn = ", ".join(f"{one.what} {one.low:g} to {one.high:g}" for one in DRAWN[kind])
-        print(f"  lab:{name:<22} {drawn or 'nothing is drawn'}")
-    print("faults that can be injected (--fault KIND@TOUCH):")
-    for injected in Injected:
-        print(f"  {injected.word:<26} {injected}")

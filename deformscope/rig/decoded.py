@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
@@ -205,8 +205,12 @@ class _Check:
             self._again.send(item.data)
         else:
             self._pieces += 1
-            if self._again.listening:
-                self._decoded += self._decode(self._again, self._decoder.feed(item.data))
+            for event in self._decoder.feed(item.data) if self._again.listening else ():
+                if isinstance(event, Skipped):
+                    self._skipped += event.count
+                elif (reading := self._again.measure(event, self._now_ns)) is not None:
+                    stream = self._stream
+                    self._decoded.append(to_frame(stream.kind, reading, 0, stream.device, self._again.device()))
 
     def result(self) -> DeviceComparison:
         """The comparison of all that was taken, once nothing more comes."""
@@ -230,14 +234,6 @@ class _Check:
                 left_out = f"data after {self._difference}: {dropped:g} readings or pieces of bytes were dropped"
                 self._difference = ""
         return DeviceComparison(stream.device, stream.driver, self._frames, self._compared, left_out, self._difference)
-
-    def _decode(self, again: Redecoder, events: Iterable[object]) -> Iterator[Frame]:
-        for event in events:
-            if isinstance(event, Skipped):
-                self._skipped += event.count
-                continue
-            if (reading := again.measure(event, self._now_ns)) is not None:
-                yield to_frame(self._stream.kind, reading, 0, self._stream.device, again.device())
 
     def _settle(self) -> None:
         """Compare the items of one moment. Frames of a device with corrected stamps come before their bytes."""

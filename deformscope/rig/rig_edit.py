@@ -38,7 +38,15 @@ def edited(text: str, values: Values) -> str:
             _set(lines, section, key, toml_value(value, DIGITS))
     made = "\n".join(lines) + "\n"
     try:
-        same = tomllib.loads(made) == _merged(tomllib.loads(text), values)
+        wanted = tomllib.loads(text)
+        for section, keys in values.items():
+            table = wanted
+            for name in section.split("."):
+                table = table.setdefault(name, {})
+            table.update(
+                tomllib.loads("\n".join(f"{key} = {toml_value(value, DIGITS)}" for key, value in keys.items()))
+            )
+        same = tomllib.loads(made) == wanted
     except tomllib.TOMLDecodeError:
         same = False
     if not same:
@@ -76,15 +84,6 @@ def _end_of_value(lines: list[str], first: int, end: int) -> int:
         except tomllib.TOMLDecodeError:
             continue
     return first
-
-
-def _merged(content: dict[str, Any], values: Values) -> dict[str, Any]:
-    for section, keys in values.items():
-        table = content
-        for name in section.split("."):
-            table = table.setdefault(name, {})
-        table.update(tomllib.loads("\n".join(f"{key} = {toml_value(value, DIGITS)}" for key, value in keys.items())))
-    return content
 
 
 def toml_value(value: Any, digits: str = "") -> str:

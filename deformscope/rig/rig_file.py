@@ -336,7 +336,21 @@ def parse_rig(text: str, where: str, *, trusted: bool = False, others: Sequence[
         raise InputError("a rig file in TOML", _line(error), "https://toml.io", where) from error
     try:
         _check_values(content)
-        return _rig(content, text, where, trusted, others)
+        _check_keys(content, ("devices", *SECTIONS), "the rig file")
+        devices = content.get("devices", {})
+        if not isinstance(devices, dict) or not (devices or others):
+            raise InputError("at least one [devices.NAME] section", "none")
+        given = {name: content[name] for name in SECTIONS if content.get(name) is not None}
+        read = {name: _read(SECTIONS[name], one, f"[{name}]") for name, one in given.items()}
+        late = section.late_ns(devices) if (section := read.get("calibrated")) else {}
+        members = tuple(_device(name, given, trusted, late.get(name, 0)) for name, given in devices.items())
+        rig = Rig(Path(where).stem, text, members, **read, folder=Path(where).expanduser().parent)
+        names = dict.fromkeys((*devices, *others))
+        if rig.camera.device and rig.camera.device not in names:
+            raise InputError(f"[camera] device out of {', '.join(names)}", repr(rig.camera.device))
+        if unknown := [name for name in rig.record.lossless if name not in names]:
+            raise InputError(f"[record] lossless out of {', '.join(names)}", ", ".join(map(repr, unknown)))
+        return rig
     except InputError as error:
         raise InputError.about(error, where) from error
 
@@ -360,27 +374,6 @@ def _check_values(content: dict[str, Any]) -> None:
             )
         elif isinstance(value, str):
             check(value.isprintable(), f"{place} without control characters", repr(value[:PLACE_CHARACTERS]))
-
-
-def _rig(content: dict[str, Any], text: str, where: str, trusted: bool, others: Sequence[str]) -> Rig:
-    _check_keys(content, ("devices", *SECTIONS), "the rig file")
-    devices = content.get("devices", {})
-    if not isinstance(devices, dict) or not (devices or others):
-        raise InputError("at least one [devices.NAME] section", "none")
-    read = {
-        name: _read(kind, content[name], f"[{name}]")
-        for name, kind in SECTIONS.items()
-        if content.get(name) is not None
-    }
-    late = (section.late_ns(devices)) if (section := read.get("calibrated")) else {}
-    members = tuple(_device(name, given, trusted, late.get(name, 0)) for name, given in devices.items())
-    rig = Rig(Path(where).stem, text, members, **read, folder=Path(where).expanduser().parent)
-    names = dict.fromkeys((*devices, *others))
-    if rig.camera.device and rig.camera.device not in names:
-        raise InputError(f"[camera] device out of {', '.join(names)}", repr(rig.camera.device))
-    if unknown := [name for name in rig.record.lossless if name not in names]:
-        raise InputError(f"[record] lossless out of {', '.join(names)}", ", ".join(map(repr, unknown)))
-    return rig
 
 
 def _device(name: str, given: object, trusted: bool, late_ns: int) -> RigDevice:

@@ -58,19 +58,17 @@ def read_meshes(paths: Sequence[Path], *, coarse: bool = True) -> list[Mesh]:
         ending = signal.Signals(-done.returncode).name if done.returncode < 0 else f"status {done.returncode}"
     except subprocess.TimeoutExpired as error:
         arrays, ending = io.BytesIO(error.stdout or b""), f"{TIMEOUT_S:g} s"
-    return [_mesh(arrays, path, ending) for path in paths]
-
-
-def _mesh(arrays: BinaryIO, path: Path, ending: str) -> Mesh:
-    """The next mesh of the arrays: vertices (n, 3) and triangles (m, 3). ending: of their process"""
-    try:
-        vertices, triangles = (np.load(arrays, allow_pickle=False) for _ in range(2))
-    except (EOFError, OSError, ValueError) as error:
-        came = f"one that ended its reader ({ending})"
-        raise InputError("a complete mesh file", came, "export it again", path) from error
-    if refused := _refusal(vertices, triangles):
-        raise InputError(refused, "none, or others", "export it again", path)
-    return vertices, triangles
+    meshes = []
+    for path in paths:
+        try:
+            vertices, triangles = (np.load(arrays, allow_pickle=False) for _ in range(2))
+        except (EOFError, OSError, ValueError) as error:
+            came = f"one that ended its reader ({ending})"
+            raise InputError("a complete mesh file", came, "export it again", path) from error
+        if refused := _refusal(vertices, triangles):
+            raise InputError(refused, "none, or others", "export it again", path)
+        meshes.append((vertices, triangles))
+    return meshes
 
 
 def _refusal(vertices: npt.NDArray[np.float64], triangles: npt.NDArray[np.int32]) -> str:

@@ -90,7 +90,11 @@ def read_urdf(path: Path) -> UrdfShapes:
         robot = ET.fromstring(content)
         if robot.tag != "robot":
             raise InputError("a URDF: <robot> with links and joints", f"<{robot.tag}>", where=path)
-        meshes = _meshes(robot, path)
+        parts = [part for link in robot.findall("link") for part in _shown(link)]
+        named = [mesh.attrib["filename"] for part in parts for mesh in part.findall("geometry/mesh")]
+        files = {name: _mesh_file(name, path) for name in named}
+        read = [Solid(vertices, faces.astype(np.uint32)) for vertices, faces in read_meshes(list(files.values()))]
+        meshes = dict(zip(files, read, strict=True))
         solids = {link.attrib["name"]: _link_solids(link, meshes) for link in robot.findall("link")}
         joints = [_joint(one) for one in robot.findall("joint")]
     except OSError as error:
@@ -160,14 +164,6 @@ def _lengths(words: str, count: int) -> tuple[float, ...]:
 def _shown(link: ET.Element) -> list[ET.Element]:
     """The visual shapes of a link, or its collision shapes where it has none."""
     return link.findall("visual") or link.findall("collision")
-
-
-def _meshes(robot: ET.Element, path: Path) -> dict[str, Solid]:
-    """The mesh files of its shapes, read together, by their names in the URDF."""
-    found = [mesh for link in robot.findall("link") for part in _shown(link) for mesh in part.findall("geometry/mesh")]
-    files = {mesh.attrib["filename"]: _mesh_file(mesh.attrib["filename"], path) for mesh in found}
-    solids = [Solid(vertices, triangles.astype(np.uint32)) for vertices, triangles in read_meshes(list(files.values()))]
-    return dict(zip(files, solids, strict=True))
 
 
 def _link_solids(link: ET.Element, meshes: Mapping[str, Solid]) -> tuple[Solid, ...]:

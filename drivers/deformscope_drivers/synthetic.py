@@ -8,7 +8,7 @@ from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar, cast
 
 import numpy as np
 
@@ -177,8 +177,7 @@ class SyntheticSource(Device[MeasurementT], Generic[MeasurementT, ViewT]):
             self._count_lost(1)
             return None
         if self._frozen and self._held is not None:
-            held: Any = self._held  # a dataclass
-            reading = dataclasses.replace(held, stamp=stamp)
+            reading: MeasurementT = dataclasses.replace(cast(Any, self._held), stamp=stamp)  # it is a dataclass
         else:
             self._held = reading = self._take(view, stamp)
         if self._clock_fit is not None and stamp.device_ticks is not None:

@@ -175,19 +175,30 @@ class Dsa(StreamDevice[TactileReading]):
         self._settle(SETTLE_S)
         self._controller = self._query(messages.QueryController(), messages.ControllerInfo, "query of the controller")
         self._sensor = self._query(messages.QuerySensor(), messages.SensorInfo, "query of the sensor")
-        matrices = tuple(self._ask_matrix(index) for index in range(self._sensor.matrix_count))
+        matrices = []
+        for index in range(self._sensor.matrix_count):
+            matrix = self._query(messages.QueryMatrix(index), messages.MatrixInfo, f"query of matrix {index}")
+            sizes = np.array([matrix.texel_width_mm, matrix.texel_height_mm])
+            if not matrix.cells or not np.isfinite(sizes).all() or (sizes <= 0).any():
+                came = f"{matrix.cells_x} x {matrix.cells_y} of {sizes[0]:g} x {sizes[1]:g} mm"
+                raise ProtocolViolation(f"texels and their size for matrix {index}", came, where=self.name)
+            matrices.append(matrix)
         cells = sum(matrix.cells for matrix in matrices)
         if not 0 < cells <= CELLS_MAX:
             raise ProtocolViolation(f"matrices of 1 to {CELLS_MAX} texels in all", f"{cells}", where=self.name)
-        self.matrices = matrices
+        self.matrices = tuple(matrices)
         self._measurer.describe([(matrix.cells_y, matrix.cells_x) for matrix in matrices])
-        for matrix, sensitivity in self._by_matrix("sensitivity", self.config.sensitivity):
-            self._set_sensitivity(matrix, sensitivity)
-        for matrix, threshold in self._by_matrix("threshold", self.config.threshold):
-            self._set_threshold(matrix, threshold)
+        for number, sensitivity in self._by_matrix("sensitivity", self.config.sensitivity):
+            self._set_sensitivity(number, sensitivity)
+        for number, threshold in self._by_matrix("threshold", self.config.threshold):
+            self._set_threshold(number, threshold)
         self._expect(0.0 if self.config.streaming else None)
         if self.config.streaming:
-            self._stream()
+            self._begin_stream()
+            command = stream(rle=self.config.rle, frame_rate_hz=self.config.frame_rate_hz)
+            self._acknowledged(command, "start of streaming")
+            self._silence_ns = round(self.config.silence_s * 1e9)
+            self._measured_ns = self._clock()
 
     def _stop(self) -> None:
         with contextlib.suppress(DeviceError):
@@ -218,14 +229,6 @@ class Dsa(StreamDevice[TactileReading]):
         return {"repeated": self._measurer.repeated, "clock_restarts": self._measurer.restarts}
 
     # Within: all in the device's thread ------------------------------------------------------------------------------
-
-    def _ask_matrix(self, index: int) -> messages.MatrixInfo:
-        matrix = self._query(messages.QueryMatrix(index), messages.MatrixInfo, f"query of matrix {index}")
-        sizes = np.array([matrix.texel_width_mm, matrix.texel_height_mm])
-        if not matrix.cells or not np.isfinite(sizes).all() or (sizes <= 0).any():
-            came = f"{matrix.cells_x} x {matrix.cells_y} of {sizes[0]:g} x {sizes[1]:g} mm"
-            raise ProtocolViolation(f"texels and their size for matrix {index}", came, where=self.name)
-        return matrix
 
     def _by_matrix(self, name: str, value: T | tuple[T, ...] | None) -> list[tuple[int | None, T]]:
         """The configured values, each with its matrix; None = all of them."""
@@ -260,13 +263,6 @@ class Dsa(StreamDevice[TactileReading]):
             reported = self._query(messages.QueryThreshold(index), messages.ThresholdInfo, "query of threshold")
             if reported.threshold != wanted:
                 raise SettingsRefused(f"threshold {wanted} of matrix {index}", f"{reported.threshold}", where=self.name)
-
-    def _stream(self) -> None:
-        self._begin_stream()
-        command = stream(rle=self.config.rle, frame_rate_hz=self.config.frame_rate_hz)
-        self._acknowledged(command, "start of streaming")
-        self._silence_ns = round(self.config.silence_s * 1e9)
-        self._measured_ns = self._clock()
 
     def _acknowledged(
         self, command: messages.Command, doing: str, timeout_s: float = REPLY_TIMEOUT_S, tries: int = REPLY_TRIES

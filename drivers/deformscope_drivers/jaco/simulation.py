@@ -147,8 +147,11 @@ class SimulatedArm:
                 self._move_fingers(np.zeros(structures.FINGER_COUNT))
                 self._opening = bool(np.any(self.fingers))
                 self.fingers_ready = not self._opening
-            if self.admittance.active:
-                rates = rates + self._give_way()
+            if self.admittance.active and self.angular_control:  # it yields to the push, on top of its command
+                torques = kinematics.jacobian_of(self.links).T @ self.wrench
+                rates = rates + np.degrees(self.admittance.joint_rates(torques))
+            elif self.admittance.active:
+                rates = rates + self._rates_of(self.admittance.twist(self.wrench))
         if self.lag:
             self.lag.append(rates)
             rates = self.lag.popleft()
@@ -246,12 +249,6 @@ class SimulatedArm:
             if any(np.all((low_m < hand_m) & (hand_m < high_m)) for low_m, high_m in self.closed):
                 return np.zeros(self.chain.joint_count)
         return rates_deg_s
-
-    def _give_way(self) -> FloatArray:
-        """Rates (n,) [deg/s] by which the arm yields to the push, on top of its command."""
-        if self.angular_control:
-            return np.degrees(self.admittance.joint_rates(kinematics.jacobian_of(self.links).T @ self.wrench))
-        return self._rates_of(self.admittance.twist(self.wrench))
 
     def _turn(self, rates_deg_s: FloatArray) -> None:
         """Turn the joints for one cycle; a joint at the end of its range stops there."""

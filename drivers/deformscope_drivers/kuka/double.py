@@ -185,21 +185,18 @@ class KukaDouble:
         if self.ended and self._again_ns is not None and now_ns >= self._next_ns + self._again_ns:
             self._start(now_ns)
         while self.running and self._moves and self._next_ns <= now_ns:
-            self._follow(self._joints_deg if self.ended else self._setpoint_deg)
+            # the axes move all the way, or as lag and acceleration let them
+            target_deg, cycle_s = self._joints_deg if self.ended else self._setpoint_deg, self._cycle_ns / 1e9
+            gap_deg = target_deg - self._joints_deg
+            most_deg_s = self._acceleration_deg_s2 * cycle_s
+            wanted_deg_s = gap_deg / (cycle_s + self._lag_s)
+            change_deg_s = np.clip(wanted_deg_s - self._rates_deg_s, -most_deg_s, most_deg_s)
+            self._rates_deg_s = self._rates_deg_s + change_deg_s
+            arrives = np.abs(self._rates_deg_s * cycle_s - gap_deg) < 1e-9
+            self._joints_deg = np.where(arrives, target_deg, self._joints_deg + self._rates_deg_s * cycle_s)
             if not self.ended:
                 self._cycle()
             self._next_ns += self._cycle_ns
-
-    def _follow(self, target_deg: FloatArray) -> None:
-        """Move the axes through one cycle: all the way, or as lag and acceleration let them."""
-        cycle_s = self._cycle_ns / 1e9
-        gap_deg = target_deg - self._joints_deg
-        most_deg_s = self._acceleration_deg_s2 * cycle_s
-        wanted_deg_s = gap_deg / (cycle_s + self._lag_s)
-        change_deg_s = np.clip(wanted_deg_s - self._rates_deg_s, -most_deg_s, most_deg_s)
-        self._rates_deg_s = self._rates_deg_s + change_deg_s
-        arrives = np.abs(self._rates_deg_s * cycle_s - gap_deg) < 1e-9
-        self._joints_deg = np.where(arrives, target_deg, self._joints_deg + self._rates_deg_s * cycle_s)
 
     def _cycle(self) -> None:
         """The end of one cycle, and the begin of the next."""

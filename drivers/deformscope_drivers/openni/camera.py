@@ -55,7 +55,17 @@ class OpenniCamera:
         self.depth = self._device.stream(Sensor.DEPTH)
         self.color = self._device.stream(Sensor.COLOR) if settings.color else None
         self._ended = False
-        self._set()
+        if self._device.is_recording:
+            self._device.play(settings.speed or MANUAL_SPEED, settings.loop)
+        for stream in self._streams():
+            self._set_mode(stream)
+            if stream.mirror() is not None and stream.mirror() != settings.mirror:
+                stream.set_mirror(settings.mirror)
+            came = stream.mirror()
+            if (came is None and settings.mirror) or (came is not None and came != settings.mirror):
+                raise SettingsRefused(f"mirror {settings.mirror}", f"mirror {came}", where=settings.port)
+        if self.color is not None and self._registers:
+            self._device.register_depth_to_color()
 
     def words(self) -> dict[str, object]:
         """Message to the program when the camera is open: sizes [px], rate [Hz], unit [m], field of view [rad],
@@ -104,20 +114,6 @@ class OpenniCamera:
 
     def _streams(self) -> list[OpenniStream]:
         return [self.depth] if self.color is None else [self.depth, self.color]
-
-    def _set(self) -> None:
-        settings = self._settings
-        if self._device.is_recording:
-            self._device.play(settings.speed or MANUAL_SPEED, settings.loop)
-        for stream in self._streams():
-            self._set_mode(stream)
-            if stream.mirror() is not None and stream.mirror() != settings.mirror:
-                stream.set_mirror(settings.mirror)
-            came = stream.mirror()
-            if (came is None and settings.mirror) or (came is not None and came != settings.mirror):
-                raise SettingsRefused(f"mirror {settings.mirror}", f"mirror {came}", where=settings.port)
-        if self.color is not None and self._registers:
-            self._device.register_depth_to_color()
 
     def _set_mode(self, stream: OpenniStream) -> None:
         """Size, rate and unit, if requested."""

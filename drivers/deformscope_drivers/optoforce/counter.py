@@ -115,7 +115,11 @@ class CounterTrack:
             self._anchor = (host_ns, self._ticks)
             return Gap(CounterStep.RESTARTED)
         self._ticks += step
-        self._compare_clocks(host_ns)
+        if self._period_ns is not None:
+            ahead_ns = self._ahead_ns(0, host_ns)
+            stalled = ahead_ns < -JITTER_NS
+            if ahead_ns > 0 or (not stalled and host_ns - self._anchor[0] > ANCHOR_NS):
+                self._anchor = (host_ns, self._ticks)
         return _NEXT
 
     def _unusual(self, last: int, counter: int, step: int, usual: int, host_ns: int) -> Gap:
@@ -181,14 +185,6 @@ class CounterTrack:
         assert self.step is not None
         anchor_ns, anchor_ticks = self._anchor
         return (self._ticks + step - anchor_ticks) * self._period_ns / self.step - (host_ns - anchor_ns)
-
-    def _compare_clocks(self, host_ns: int) -> None:
-        if self._period_ns is None:
-            return
-        ahead_ns = self._ahead_ns(0, host_ns)
-        stalled = ahead_ns < -JITTER_NS
-        if ahead_ns > 0 or (not stalled and host_ns - self._anchor[0] > ANCHOR_NS):
-            self._anchor = (host_ns, self._ticks)
 
 
 @dataclass(slots=True)

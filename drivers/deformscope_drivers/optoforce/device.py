@@ -161,7 +161,12 @@ class Optoforce(StreamDevice[ForceMeasurement]):
             self._count_lost(gap.lost)
         self._look_for_restart(gap, host_ns)
         self._before_ns = host_ns
-        self._compare_clocks(event, gap.verdict, host_ns)
+        step, unfit = self._measurer.track.step, (CounterStep.JUMPED, CounterStep.LATE, CounterStep.REPEATED)
+        if step is not None and gap.verdict not in unfit:
+            if self._unwrap is None or self._clock_fit is None or gap.verdict is CounterStep.RESTARTED:
+                tick_ns = self._settings.speed * 1e6 / step
+                self._unwrap, self._clock_fit = Unwrap(WRAP, tick_ns), ClockFit(tick_ns)
+            self._clock_fit.add(self._unwrap(event.counter, host_ns), host_ns)
         zeroed, in_doubt = self._settings.zeroed, self._zero_in_doubt
         return [self._measurer.measure(event, host_ns, gap, zeroed=zeroed, zero_in_doubt=in_doubt)]
 
@@ -321,12 +326,3 @@ class Optoforce(StreamDevice[ForceMeasurement]):
             advice = "check power, cable and port; is it an OptoForce DAQ with protocol 1.4 or later?"
             raise NoReply(f"{count} readings within {wait_s:.3g} s", str(len(found)), advice, self.name)
         return found
-
-    def _compare_clocks(self, reading: protocol.Reading, verdict: CounterStep, host_ns: int) -> None:
-        step = self._measurer.track.step
-        if step is None or verdict in (CounterStep.JUMPED, CounterStep.LATE, CounterStep.REPEATED):
-            return
-        if self._unwrap is None or self._clock_fit is None or verdict is CounterStep.RESTARTED:
-            tick_ns = self._settings.speed * 1e6 / step
-            self._unwrap, self._clock_fit = Unwrap(WRAP, tick_ns), ClockFit(tick_ns)
-        self._clock_fit.add(self._unwrap(reading.counter, host_ns), host_ns)

@@ -184,6 +184,11 @@ class OptoforceDouble:
             settings.speed = speed
             self._next_sent = self._sample_at(now_ns) + int(speed)
         settings.filter = filter_
+        self._set_zero(zero, now_ns)
+        self._acknowledge(0, now_ns)
+
+    def _set_zero(self, zero: Zero, now_ns: int) -> None:
+        settings = self._settings
         if zero is Zero.CLEAR:
             self._zero = np.zeros_like(self._zero)
             settings.cleared_ns = now_ns if settings.cleared_ns is None else settings.cleared_ns
@@ -191,7 +196,6 @@ class OptoforceDouble:
             self._take_samples(self._sample_at(now_ns))
             self._zero = np.zeros_like(self._zero) if self._filtered is None else np.round(self._filtered)
             settings.cleared_ns = None
-        self._acknowledge(0, now_ns)
 
     def _acknowledge(self, result: int, now_ns: int) -> None:
         if self.sensors.acknowledges:
@@ -202,7 +206,13 @@ class OptoforceDouble:
         while speed and (sent_ns := self._time_ns(self._next_sent)) <= now_ns:
             self._take_samples(self._next_sent)
             if not self.silent:
-                self._line.send(encode(self._reading()), sent_ns)
+                assert self._filtered is not None
+                counts = np.minimum(np.maximum(np.rint(self._filtered - self._zero), -32768.0), 32767.0)
+                counts[list(self.unplugged)] = 0.0
+                counter = self._sample - 1 if self.sensors.counts_samples else self._sent
+                rows = tuple(tuple(channel) for channel in counts.astype(int).tolist())
+                reading = Reading(self.sensors.kind, counter % 0x10000, self._status(), rows)
+                self._line.send(encode(reading), sent_ns)
             self._sent += 1
             self._next_sent += int(speed)
 
@@ -229,14 +239,6 @@ class OptoforceDouble:
             else:
                 self._filtered = self._filtered + weight * (counts - self._filtered)
         self._sample = max(self._sample, last + 1)
-
-    def _reading(self) -> Reading:
-        assert self._filtered is not None
-        counts = np.minimum(np.maximum(np.rint(self._filtered - self._zero), -32768.0), 32767.0)
-        counts[list(self.unplugged)] = 0.0
-        counter = self._sample - 1 if self.sensors.counts_samples else self._sent
-        rows = tuple(tuple(channel) for channel in counts.astype(int).tolist())
-        return Reading(self.sensors.kind, counter % 0x10000, self._status(), rows)
 
     def _status(self) -> Status:
         """The troubled sensor's; where several are, the first one's."""

@@ -136,7 +136,19 @@ class ForceMeasurer:
         """The interpretation of a reading's counter. host_ns: when it arrived [ns]. Raises SettingsRefused where the
         first one is of another sensor than the sensitivity reports."""
         if self.kind is None:
-            self._learn_kind(reading.kind)
+            kind, reports = reading.kind, self._reports
+            if reports and (len(reports) != kind.channels or any(report.axes != kind.axes for report in reports)):
+                raise SettingsRefused(
+                    f"{len(reports)} sensors of {reports[0].axes} axes, as in `sensitivity`",
+                    f"a {kind.value} DAQ: {kind.channels} of {kind.axes}",
+                    "one sensitivity report for each sensor",
+                    self._name,
+                )
+            if self.offset is not None and self.offset.shape != (kind.channels, kind.axes):
+                self.offset = None  # another sensor hangs there now
+            self.kind = kind
+            self._per_count = np.stack([report.per_count for report in reports]) if reports else None
+            self._nominal_counts = [report.counts_at_nominal for report in reports] or None
         gap = self.track.follow(reading.counter, host_ns, twin=reading == self._before)
         self._before = reading
         return gap
@@ -168,19 +180,3 @@ class ForceMeasurer:
             gap.verdict,
             found,
         )
-
-    def _learn_kind(self, kind: Kind) -> None:
-        """Now that it is known what hangs on the DAQ: do the sensitivity reports fit?"""
-        reports = self._reports
-        if reports and (len(reports) != kind.channels or any(report.axes != kind.axes for report in reports)):
-            raise SettingsRefused(
-                f"{len(reports)} sensors of {reports[0].axes} axes, as in `sensitivity`",
-                f"a {kind.value} DAQ: {kind.channels} of {kind.axes}",
-                "one sensitivity report for each sensor",
-                self._name,
-            )
-        if self.offset is not None and self.offset.shape != (kind.channels, kind.axes):
-            self.offset = None  # another sensor hangs there now
-        self.kind = kind
-        self._per_count = np.stack([report.per_count for report in reports]) if reports else None
-        self._nominal_counts = [report.counts_at_nominal for report in reports] or None

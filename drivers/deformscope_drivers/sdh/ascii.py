@@ -66,8 +66,9 @@ def decode_command(line: str) -> Command:
     return Command(name, _numbers(text), axis)
 
 
-def encode_reply(event: Event, decimals: int = 2) -> bytes:
-    """The hand's line. `decimals` of measured and set values are not documented; whole numbers are sent as such."""
+def encode_reply(event: Event) -> bytes:
+    """The hand's line. How many decimals measured and set values have is not documented; whole numbers are sent as
+    such."""
     match event:
         case ErrorReply(code=code):
             return f"E{code}\r\n".encode()
@@ -79,17 +80,17 @@ def encode_reply(event: Event, decimals: int = 2) -> bytes:
     head = name.upper() if event.axis is None else f"{name.upper()}({event.axis})"
     if not event.values:
         return f"{name if name == 'm' else head}\r\n".encode()
-    shown = (_shown(name, index, value, decimals) for index, value in enumerate(event.values))
+    shown = (_shown(name, index, value) for index, value in enumerate(event.values))
     return f"{head}={','.join(shown)}\r\n".encode()
 
 
-def _shown(name: str, index: int, value: float, decimals: int) -> str:
+def _shown(name: str, index: int, value: float) -> str:
     """Settings from Schunk's examples: M=4.51, SELGRIP=0.0,1, GRIP=0.42,0.1, POWER=0,0,0,0,0,0,0."""
     if name in ("m", "get_duration", "grip") or (name == "selgrip" and index == 0):
         return str(round(value, 2))
     if name in INTEGER_COMMANDS or name in ("state", "power", "ref", "pos_save", "numaxis"):
         return f"{value:.0f}"
-    return f"{value:.{decimals}f}"
+    return f"{value:.2f}"
 
 
 def decode_reply(line: str) -> Event:

@@ -94,7 +94,8 @@ class SdhConnection(StreamDevice[HandReading]):
         if self.config.protocol == "binary" and not binary:
             advice = 'protocol = "ascii"'
             raise SettingsRefused("firmware 0.0.2.15 or later for binary", firmware, advice, self.name)
-        speeds, accelerations = codes.VELOCITY_MAX_OLD_DEG_S, Limits().acceleration_max_deg_s2
+        speeds: ByAxis = codes.VELOCITY_MAX_OLD_DEG_S
+        accelerations = Limits().acceleration_max_deg_s2
         if self._release >= codes.VELOCITY_LIMITS_SINCE:
             speeds = self._values("vlim")
         if self._release >= codes.ACCELERATION_LIMITS_SINCE:

@@ -68,10 +68,6 @@ def ramp_duration_s(distance_deg: float, velocity_deg_s: float, acceleration_deg
     return distance / velocity_deg_s + velocity_deg_s / acceleration_deg_s2
 
 
-def _sin_square_part(time_part: float) -> float:
-    return time_part - math.sin(2 * math.pi * time_part) / (2 * math.pi)
-
-
 def _ramp_part(time_part: float, ramp: float) -> float:
     """The part of the distance at a part of the time, where the first and last `ramp` of the time change the speed."""
     if time_part > 0.5:
@@ -196,8 +192,13 @@ class Motion:
         longest = 0.0
         for axis, target, velocity in zip(self.axes, targets_deg, velocities_deg_s, strict=True):
             distance = 0.0 if target is None else target - axis.position_deg
-            if distance and velocity:
-                longest = max(longest, self._axis_duration_s(axis, distance, velocity))
+            if not distance or not velocity:
+                continue
+            if self.profile is codes.VelocityProfile.SIN_SQUARE:
+                duration_s = sin_square_duration_s(distance, velocity)
+            else:
+                duration_s = ramp_duration_s(distance, velocity, axis.target_acceleration_deg_s2)
+            longest = max(longest, duration_s)
         return math.ceil(longest / _CYCLE_S - 1e-6) * _CYCLE_S
 
     def start(self, targets_deg: Iterable[float | None], velocities_deg_s: Iterable[float]) -> float:
@@ -259,11 +260,6 @@ class Motion:
             self.axes[axis].powered = on
             self.axes[axis].halt(codes.AxisState.IDLE if on else codes.AxisState.DISABLED)
 
-    def _axis_duration_s(self, axis: Axis, distance_deg: float, velocity_deg_s: float) -> float:
-        if self.profile is codes.VelocityProfile.SIN_SQUARE:
-            return sin_square_duration_s(distance_deg, velocity_deg_s)
-        return ramp_duration_s(distance_deg, velocity_deg_s, axis.target_acceleration_deg_s2)
-
     def _step(self, axis: Axis) -> None:
         before = axis.position_deg
         met: codes.AxisState | None = None
@@ -274,7 +270,10 @@ class Motion:
             case _Mode.POSE:
                 elapsed_s = (self._now_ns - self._start_ns) / 1e9
                 part = min(elapsed_s / self._duration_s, 1.0) if self._duration_s else 1.0
-                share = _sin_square_part(part) if axis.ramp_part is None else _ramp_part(part, axis.ramp_part)
+                if axis.ramp_part is None:
+                    share = part - math.sin(2 * math.pi * part) / (2 * math.pi)
+                else:
+                    share = _ramp_part(part, axis.ramp_part)
                 ended = part >= 1.0
                 met = axis.advance_to(axis.to_deg if ended else axis.from_deg + share * (axis.to_deg - axis.from_deg))
                 axis.velocity_deg_s = (axis.position_deg - before) / _CYCLE_S

@@ -14,28 +14,11 @@ import re
 from dataclasses import dataclass
 from typing import Final
 
-from deformscope_drivers.framing import NOISE, FrameDecoder, GoodFrame, Refused, Skipped
+from deformscope_drivers.framing import NOISE, FrameDecoder, GoodFrame, Refused
 from deformscope_drivers.sdh import ascii as text
 from deformscope_drivers.sdh import binary
 from deformscope_drivers.sdh.codes import CODES
-from deformscope_drivers.sdh.events import Command, DebugLine, ErrorReply, Event, Reading, TextReply, ValueReply
-
-__all__ = [
-    "END_OF_COMMAND",
-    "Command",
-    "CommandDecoder",
-    "DebugLine",
-    "Decoder",
-    "ErrorReply",
-    "Event",
-    "Reading",
-    "Received",
-    "Skipped",
-    "TextReply",
-    "ValueReply",
-    "encode",
-    "encode_reply",
-]
+from deformscope_drivers.sdh.events import Command, DebugLine, Event, TextReply
 
 END_OF_COMMAND: Final = b" \r\n"
 """Ends a command that came half; what a host sends first."""
@@ -66,10 +49,10 @@ def encode(command: Command, *, binary_checksum: bool | None = None) -> bytes:
     return binary.encode_request(command, checksummed=binary_checksum)
 
 
-def encode_reply(event: Event, *, binary_checksum: bool | None = None, decimals: int = 2) -> bytes:
+def encode_reply(event: Event, *, binary_checksum: bool | None = None) -> bytes:
     """The hand's answer, in text or in binary, as `encode`."""
     if binary_checksum is None:
-        return text.encode_reply(event, decimals)
+        return text.encode_reply(event)
     if isinstance(event, TextReply | DebugLine):
         raise ValueError(f"the binary protocol has no {event}")
     return binary.encode_reply(event, checksummed=binary_checksum)
