@@ -56,6 +56,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
 
     _settings: DaqSettings
     _zero_in_doubt: bool
+    _unwrap: Unwrap | None
 
     def __init__(
         self, config: OptoforceConfig, *, transport: Transport | None = None, clock: Clock = monotonic_ns
@@ -196,7 +197,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         self._restart = ""
         self._zero_in_doubt = False
         self._before_ns = 0
-        self._unwrap: Unwrap | None = None
+        self._unwrap = None
         self._unacknowledged = 0
 
     def _change(self, wanted: DaqSettings) -> None:
