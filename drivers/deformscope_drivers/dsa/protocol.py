@@ -15,24 +15,7 @@ import struct
 from abc import abstractmethod
 from dataclasses import dataclass
 
-from deformscope_drivers.dsa.messages import (
-    CHECKSUM,
-    COMMAND_FORMAT,
-    COMMAND_WITH,
-    FRAME_RLE,
-    LAYOUT_OF,
-    NOT_ENOUGH_PARAMETERS,
-    REPLY_TO,
-    SUCCESS,
-    UNKNOWN_COMMAND,
-    Ack,
-    Acquisition,
-    Command,
-    ConfigureAcquisition,
-    Id,
-    Reading,
-    Reply,
-)
+from deformscope_drivers.dsa import messages
 from deformscope_drivers.dsa.texels import decode_raw, decode_rle, encode_raw, encode_rle
 from deformscope_drivers.framing import EventT, FrameDecoder, GoodFrame, Refused, find_start
 from deformscope_drivers.framing import Skipped as Skipped
@@ -48,29 +31,31 @@ _CRC_BYTES = 2
 _COMMAND_PAYLOAD_MAX = 64  # well above the longest that is public, 6; a length beyond it is noise, not a command
 
 
-def stream(*, rle: bool = True, frame_rate_hz: int = 30) -> ConfigureAcquisition:
+def stream(*, rle: bool = True, frame_rate_hz: int = 30) -> messages.ConfigureAcquisition:
     """Send frames until they are stopped, as many as the line carries; the requested rate is not guaranteed."""
-    return ConfigureAcquisition(Acquisition.ON | (Acquisition.RLE if rle else 0), frame_rate_hz)
+    return messages.ConfigureAcquisition(
+        messages.Acquisition.ON | (messages.Acquisition.RLE if rle else 0), frame_rate_hz
+    )
 
 
-def single(*, rle: bool = True) -> ConfigureAcquisition:
+def single(*, rle: bool = True) -> messages.ConfigureAcquisition:
     """Send one frame; firmware up to 288, except 269, starts to stream instead."""
     return stream(rle=rle, frame_rate_hz=0)
 
 
-def stop() -> ConfigureAcquisition:
+def stop() -> messages.ConfigureAcquisition:
     """Stop sending frames; the RLE flag is set, as in Schunk's software."""
-    return ConfigureAcquisition(Acquisition.RLE)
+    return messages.ConfigureAcquisition(messages.Acquisition.RLE)
 
 
-def encode(message: Command | Reply | Reading) -> bytes:
+def encode(message: messages.Command | messages.Reply | messages.Reading) -> bytes:
     """The packet that holds a message. A `Reading` is run-length encoded if its flags say so."""
-    if isinstance(message, Reading):
-        coded = encode_rle(message.texels) if message.flags & FRAME_RLE else encode_raw(message.texels)
-        return packet(Id.FRAME, _FRAME_HEAD.pack(message.timestamp_ms, message.flags) + coded)
-    if isinstance(message, Ack):
+    if isinstance(message, messages.Reading):
+        coded = encode_rle(message.texels) if message.flags & messages.FRAME_RLE else encode_raw(message.texels)
+        return packet(messages.Id.FRAME, _FRAME_HEAD.pack(message.timestamp_ms, message.flags) + coded)
+    if isinstance(message, messages.Ack):
         return packet(message.command, struct.pack("<H", message.error))
-    layout = LAYOUT_OF[type(message)]
+    layout = messages.LAYOUT_OF[type(message)]
     return packet(layout.id, layout.pack(message))
 
 
@@ -118,7 +103,7 @@ class _DsaDecoder(FrameDecoder[EventT]):
         """Content of a whole packet; `intact`: its checksum is right."""
 
 
-class Decoder(_DsaDecoder[Reading | Reply]):
+class Decoder(_DsaDecoder[messages.Reading | messages.Reply]):
     """The host's end. Yields `Reading`, replies (`Ack`, `ControllerInfo`...) and `Skipped`.
 
     cells: texels of all matrices together, as the controller reports them (it may be set later). Frames must then have
@@ -130,31 +115,32 @@ class Decoder(_DsaDecoder[Reading | Reply]):
         self.cells = cells
 
     def _knows(self, id: int) -> bool:
-        return id in REPLY_TO or id in (Id.FRAME, Id.ACQUISITION, Id.SET_SENSITIVITY, Id.SET_THRESHOLD)
+        ids = messages.Id
+        return id in messages.REPLY_TO or id in (ids.FRAME, ids.ACQUISITION, ids.SET_SENSITIVITY, ids.SET_THRESHOLD)
 
     def _fits(self, id: int, length: int) -> bool:
-        if id == Id.FRAME:
+        if id == messages.Id.FRAME:
             coded = length - _FRAME_HEAD.size
             return 0 < coded <= 2 * (self.cells or SDH_CELLS) and coded % 2 == 0
-        return length == 2 or (id in REPLY_TO and length == REPLY_TO[id].fields.size)
+        return length == 2 or (id in messages.REPLY_TO and length == messages.REPLY_TO[id].fields.size)
 
-    def _event(self, id: int, payload: bytes, intact: bool) -> Reading | Reply | Refused:
+    def _event(self, id: int, payload: bytes, intact: bool) -> messages.Reading | messages.Reply | Refused:
         if not intact:
             return Refused("checksum")
-        if id == Id.FRAME:
+        if id == messages.Id.FRAME:
             timestamp_ms, flags = _FRAME_HEAD.unpack_from(payload)
             coded = payload[_FRAME_HEAD.size :]
-            texels = decode_rle(coded, self.cells or SDH_CELLS) if flags & FRAME_RLE else decode_raw(coded)
+            texels = decode_rle(coded, self.cells or SDH_CELLS) if flags & messages.FRAME_RLE else decode_raw(coded)
             if texels is None:
-                return Refused("texel count" if flags & FRAME_RLE else "texel range")
+                return Refused("texel count" if flags & messages.FRAME_RLE else "texel range")
             right_count = texels.size and self.cells in (None, texels.size)
-            return Reading(timestamp_ms, flags, texels) if right_count else Refused("texel count")
+            return messages.Reading(timestamp_ms, flags, texels) if right_count else Refused("texel count")
         if len(payload) > 2:
-            reply: Reply = REPLY_TO[id].unpack(payload)
+            reply: messages.Reply = messages.REPLY_TO[id].unpack(payload)
             return reply
         error = int.from_bytes(payload, "little")
         # a query that succeeded is answered in full
-        return Refused("length") if id in REPLY_TO and error == SUCCESS else Ack(id, error)
+        return Refused("length") if id in messages.REPLY_TO and error == messages.SUCCESS else messages.Ack(id, error)
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +151,7 @@ class Faulty:
     error: int
 
 
-class CommandDecoder(_DsaDecoder[Command | Faulty]):
+class CommandDecoder(_DsaDecoder[messages.Command | Faulty]):
     """The controller's end, for doubles. Yields commands, `Faulty` for damaged packets, and `Skipped`.
 
     A controller trusts the length and answers unusable packets, where the host searches on. Error codes were assigned
@@ -177,13 +163,15 @@ class CommandDecoder(_DsaDecoder[Command | Faulty]):
     def _fits(self, id: int, length: int) -> bool:
         return length <= _COMMAND_PAYLOAD_MAX
 
-    def _event(self, id: int, payload: bytes, intact: bool) -> Command | Faulty:
+    def _event(self, id: int, payload: bytes, intact: bool) -> messages.Command | Faulty:
         if not intact:
-            return Faulty(id, CHECKSUM)
-        layout = COMMAND_WITH.get(id)
+            return Faulty(id, messages.CHECKSUM)
+        layout = messages.COMMAND_WITH.get(id)
         if layout is None:
-            return Faulty(id, UNKNOWN_COMMAND)
+            return Faulty(id, messages.UNKNOWN_COMMAND)
         if len(payload) != layout.fields.size:
-            return Faulty(id, NOT_ENOUGH_PARAMETERS if len(payload) < layout.fields.size else COMMAND_FORMAT)
-        command: Command = layout.unpack(payload)
+            return Faulty(
+                id, messages.NOT_ENOUGH_PARAMETERS if len(payload) < layout.fields.size else messages.COMMAND_FORMAT
+            )
+        command: messages.Command = layout.unpack(payload)
         return command

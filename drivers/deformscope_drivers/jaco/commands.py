@@ -11,17 +11,8 @@ from deformscope_drivers.arm import kinematics
 from deformscope_drivers.arm.commands import JointVelocity, Vector3, Velocity, finite
 from deformscope_drivers.arm.kinematics import Chain
 from deformscope_drivers.errors import OutOfLimits
+from deformscope_drivers.jaco import structures
 from deformscope_drivers.jaco.config import JacoConfig
-from deformscope_drivers.jaco.structures import (
-    FINGER_CLOSED,
-    FINGER_COUNT,
-    AngularInfo,
-    CartesianInfo,
-    FingersPosition,
-    HandMode,
-    PositionType,
-    TrajectoryPoint,
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,45 +66,47 @@ def check_target(target: Target, chain: Chain, config: JacoConfig, start_deg: Se
 
 def check_fingers(fingers: Sequence[float], where: str) -> tuple[float, ...]:
     """Raise OutOfLimits unless there are three finite positions from 0 (open) to 6800 (closed)."""
-    values = finite("finger positions", fingers, FINGER_COUNT, where)
-    if min(values) < 0 or max(values) > FINGER_CLOSED:
-        raise OutOfLimits(f"fingers from 0 (open) to {FINGER_CLOSED:g} (closed)", f"{values}", "", where)
+    values = finite("finger positions", fingers, structures.FINGER_COUNT, where)
+    if min(values) < 0 or max(values) > structures.FINGER_CLOSED:
+        raise OutOfLimits(f"fingers from 0 (open) to {structures.FINGER_CLOSED:g} (closed)", f"{values}", "", where)
     return values
 
 
-def velocity_point(velocity: Velocity) -> TrajectoryPoint:
+def velocity_point(velocity: Velocity) -> structures.TrajectoryPoint:
     """The point that asks for a velocity during one cycle of the arm (the device sends those of joints alone)."""
-    point = TrajectoryPoint()
+    point = structures.TrajectoryPoint()
     if isinstance(velocity, JointVelocity):
-        point.Position.Type = PositionType.ANGULAR_VELOCITY
-        point.Position.Actuators = AngularInfo(*velocity.rates_deg_s)
+        point.Position.Type = structures.PositionType.ANGULAR_VELOCITY
+        point.Position.Actuators = structures.AngularInfo(*velocity.rates_deg_s)
     else:
-        point.Position.Type = PositionType.CARTESIAN_VELOCITY
-        point.Position.CartesianPosition = CartesianInfo(*velocity.linear_m_s, *velocity.angular_rad_s)
+        point.Position.Type = structures.PositionType.CARTESIAN_VELOCITY
+        point.Position.CartesianPosition = structures.CartesianInfo(*velocity.linear_m_s, *velocity.angular_rad_s)
     return point
 
 
-def target_point(target: Target, config: JacoConfig) -> TrajectoryPoint:
+def target_point(target: Target, config: JacoConfig) -> structures.TrajectoryPoint:
     """The point that sends the arm to a target, at the configured speed limits."""
-    point = TrajectoryPoint()
+    point = structures.TrajectoryPoint()
     point.LimitationsActive = 1
     if isinstance(target, JointTarget):
-        point.Position.Type = PositionType.ANGULAR_POSITION
-        point.Position.Actuators = AngularInfo(*target.joints_deg)
+        point.Position.Type = structures.PositionType.ANGULAR_POSITION
+        point.Position.Actuators = structures.AngularInfo(*target.joints_deg)
         point.Limitations.speedParameter1 = point.Limitations.speedParameter2 = config.joint_limit_deg_s
     else:
-        point.Position.Type = PositionType.CARTESIAN_POSITION
-        point.Position.CartesianPosition = CartesianInfo(*target.position_m, *target.theta_rad)
+        point.Position.Type = structures.PositionType.CARTESIAN_POSITION
+        point.Position.CartesianPosition = structures.CartesianInfo(*target.position_m, *target.theta_rad)
         point.Limitations.speedParameter1 = config.linear_limit_m_s
         point.Limitations.speedParameter2 = config.angular_limit_rad_s
     return point
 
 
-def fingers_point(fingers: Sequence[float], joints_deg: Sequence[float], config: JacoConfig) -> TrajectoryPoint:
+def fingers_point(
+    fingers: Sequence[float], joints_deg: Sequence[float], config: JacoConfig
+) -> structures.TrajectoryPoint:
     """The point that moves the fingers while the joints are commanded to stay where they are."""
     point = target_point(JointTarget(tuple(joints_deg)), config)
-    point.Position.HandMode = HandMode.POSITION
-    point.Position.Fingers = FingersPosition(*fingers)
+    point.Position.HandMode = structures.HandMode.POSITION
+    point.Position.Fingers = structures.FingersPosition(*fingers)
     return point
 
 

@@ -28,7 +28,7 @@ from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.device import RECONNECT, Reconnect
 from deformscope_drivers.errors import LinkLost, MotionStopped, NotConnected, OutOfLimits, Stale
 from deformscope_drivers.health import Identity, Link
-from deformscope_drivers.jaco import commands
+from deformscope_drivers.jaco import commands, structures
 from deformscope_drivers.jaco.chains import urdf_path
 from deformscope_drivers.jaco.commands import JointTarget, Target
 from deformscope_drivers.jaco.config import JacoConfig
@@ -36,14 +36,6 @@ from deformscope_drivers.jaco.errors import NotHomed, NotReached, VendorError
 from deformscope_drivers.jaco.library import Functions, Library, call, read
 from deformscope_drivers.jaco.reading import JacoState, StateReader
 from deformscope_drivers.jaco.startup import CONFIGURATION_GAP_S, JacoIdentity, bring_up, check_pose, let_go
-from deformscope_drivers.jaco.structures import (
-    ACTUATOR_ADDRESSES,
-    AngularInfo,
-    AngularPosition,
-    CartesianInfo,
-    TrajectoryPoint,
-    actuator_values,
-)
 from deformscope_drivers.memory import SimulatedClock
 from deformscope_drivers.pacing import Pacer, SlotPacer
 
@@ -319,8 +311,10 @@ class Jaco(Arm[JacoState]):
             spread = max(max(old.fingers[i] for old in since) - min(old.fingers[i] for old in since) for i in range(3))
             return len(history) > len(since) and spread < 10.0
 
-        held = self._do(lambda: read(self._functions, "GetAngularCommand", AngularPosition), COMMAND_TIMEOUT_S)
-        held_deg = actuator_values(held.Actuators, self.chain.joint_count)
+        held = self._do(
+            lambda: read(self._functions, "GetAngularCommand", structures.AngularPosition), COMMAND_TIMEOUT_S
+        )
+        held_deg = structures.actuator_values(held.Actuators, self.chain.joint_count)
         point = commands.fingers_point(values, held_deg, self.config)
         return self._travel(point, None, there, timeout_s, f"fingers at {values}")
 
@@ -341,7 +335,7 @@ class Jaco(Arm[JacoState]):
 
     def _travel(
         self,
-        point: TrajectoryPoint | None,
+        point: structures.TrajectoryPoint | None,
         control: str | None,
         there: Callable[[JacoState], bool],
         timeout_s: float,
@@ -418,21 +412,21 @@ class Jaco(Arm[JacoState]):
 
     def set_force_range(self, least: Sequence[float], most: Sequence[float]) -> None:
         """Pushes (6,) [N, Nm] below `least` are ignored, and larger ones count as `most`."""
-        self._configure("SetCartesianForceMinMax", *self._pair(CartesianInfo, 6, least, most, ordered=True))
+        self._configure("SetCartesianForceMinMax", *self._pair(structures.CartesianInfo, 6, least, most, ordered=True))
 
     def set_inertia_damping(self, inertia: Sequence[float], damping: Sequence[float]) -> None:
         """Apparent inertia of the end effector: inertia (6,) [kg, kg m^2], damping (6,) [N s/m, Nm s/rad]."""
-        self._configure("SetCartesianInertiaDamping", *self._pair(CartesianInfo, 6, inertia, damping))
+        self._configure("SetCartesianInertiaDamping", *self._pair(structures.CartesianInfo, 6, inertia, damping))
 
     def set_joint_torque_range(self, least: Sequence[float], most: Sequence[float]) -> None:
         """Joint torques (n,) [Nm] below `least` are ignored, and larger ones count as `most`."""
         count = self.chain.joint_count
-        self._configure("SetAngularTorqueMinMax", *self._pair(AngularInfo, count, least, most, ordered=True))
+        self._configure("SetAngularTorqueMinMax", *self._pair(structures.AngularInfo, count, least, most, ordered=True))
 
     def set_joint_inertia_damping(self, inertia: Sequence[float], damping: Sequence[float]) -> None:
         """Apparent inertia of the joints: inertia (n,) [kg m^2], damping (n,) [Nm s/rad]."""
         count = self.chain.joint_count
-        self._configure("SetAngularInertiaDamping", *self._pair(AngularInfo, count, inertia, damping))
+        self._configure("SetAngularInertiaDamping", *self._pair(structures.AngularInfo, count, inertia, damping))
 
     def set_torque_zero(self, joint: int | None = None) -> None:
         """Call the torque that a joint shows now zero (1 to n; None = all, one after the other).
@@ -451,17 +445,17 @@ class Jaco(Arm[JacoState]):
                 self.name,
             )
         for number in range(1, count + 1) if joint is None else (joint,):
-            self._configure("SetTorqueZero", ACTUATOR_ADDRESSES[number - 1])
+            self._configure("SetTorqueZero", structures.ACTUATOR_ADDRESSES[number - 1])
 
     def _pair(
         self,
-        kind: type[CartesianInfo] | type[AngularInfo],
+        kind: type[structures.CartesianInfo] | type[structures.AngularInfo],
         count: int,
         first: Sequence[float],
         second: Sequence[float],
         *,
         ordered: bool = False,
-    ) -> tuple[CartesianInfo | AngularInfo, CartesianInfo | AngularInfo]:
+    ) -> tuple[structures.CartesianInfo | structures.AngularInfo, structures.CartesianInfo | structures.AngularInfo]:
         lows = finite("values", first, count, self.name)
         highs = finite("values", second, count, self.name)
         if min(*lows, *highs) < 0 or (ordered and any(low > high for low, high in zip(lows, highs, strict=True))):

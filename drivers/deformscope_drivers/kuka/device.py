@@ -15,17 +15,10 @@ from typing import Any
 
 import numpy as np
 
+from deformscope_drivers.arm import kinematics
 from deformscope_drivers.arm.commands import by_joints
 from deformscope_drivers.arm.device import Arm
 from deformscope_drivers.arm.hosted import HostedArm
-from deformscope_drivers.arm.kinematics import (
-    Chain,
-    FloatArray,
-    euler_xyz_from_rotation,
-    pose_error,
-    rotation_from_rpy,
-    transform,
-)
 from deformscope_drivers.arm.state import ArmState
 from deformscope_drivers.clock import Clock, Stamp, monotonic_ns
 from deformscope_drivers.device import RECONNECT, ROUND_S, Reconnect
@@ -93,7 +86,7 @@ class Kuka(Arm[ArmState]):
         self._track: deque[tuple[int, tuple[float, ...]]] = deque()
 
     @property
-    def chain(self) -> Chain:
+    def chain(self) -> kinematics.Chain:
         return self._chain
 
     @property
@@ -162,11 +155,11 @@ class Kuka(Arm[ArmState]):
         self._expect(self.config.state_hz)
 
     @property
-    def _zero(self) -> FloatArray:
+    def _zero(self) -> kinematics.FloatArray:
         """(n,) joint corrections of an arm that keeps still [deg]."""
         return np.zeros(self._chain.joint_count)
 
-    def _hear(self, corrections_deg: FloatArray | None, within_s: float = SILENCE_S) -> RobMessage:
+    def _hear(self, corrections_deg: kinematics.FloatArray | None, within_s: float = SILENCE_S) -> RobMessage:
         """The next message of a controller that is being opened, answered by corrections (6,), or left unanswered."""
         until_ns = self._clock() + round(within_s * 1e9)
         while (left_s := (until_ns - self._clock()) / 1e9) > 0 and not self._closing.is_set():
@@ -209,7 +202,7 @@ class Kuka(Arm[ArmState]):
             self.name,
         )
 
-    def _probe_deg(self) -> FloatArray:
+    def _probe_deg(self) -> kinematics.FloatArray:
         """(6,) by how much each axis moves for one correction of PROBE_DEG after which answers are left out [deg]."""
         joints_deg = np.array(self._hear(self._zero).joints_deg)
         up = self._chain.jacobian(joints_deg)[2] >= 0  # the flange rather rises than goes down
@@ -219,12 +212,12 @@ class Kuka(Arm[ArmState]):
         self._hear(PROBE_DEG * signs)
         for _ in range(PROBE_LEFT_OUT):
             self._hear(None)
-        moved_deg: FloatArray = signs * (self._settled_deg() - joints_deg)
+        moved_deg: kinematics.FloatArray = signs * (self._settled_deg() - joints_deg)
         if np.all(moved_deg < 1.5 * PROBE_DEG):
             self._hear(-PROBE_DEG * np.where(moved_deg > 0.5 * PROBE_DEG, signs, 0.0))  # back, what has moved
         return moved_deg
 
-    def _settled_deg(self) -> FloatArray:
+    def _settled_deg(self) -> kinematics.FloatArray:
         """(6,) where the axes are once zeros have let them settle [deg]."""
         for _ in range(round(PROBE_SETTLES_S / self.config.cycle_s)):
             self._hear(self._zero)
@@ -238,8 +231,8 @@ class Kuka(Arm[ArmState]):
         if message.pose is None or not self.config.check_pose:
             return
         yaw, pitch, roll = np.radians(message.pose[3:])
-        theirs = transform(rotation_from_rpy(roll, pitch, yaw), np.array(message.pose[:3]) / 1e3)
-        error = pose_error(self._chain.end_effector(message.joints_deg), theirs)
+        theirs = kinematics.transform(kinematics.rotation_from_rpy(roll, pitch, yaw), np.array(message.pose[:3]) / 1e3)
+        error = kinematics.pose_error(self._chain.end_effector(message.joints_deg), theirs)
         off_mm, off_deg = 1e3 * np.linalg.norm(error[:3]), np.degrees(np.linalg.norm(error[3:]))
         if not (off_mm <= POSE_MM and off_deg <= POSE_DEG):
             raise SettingsRefused(
@@ -288,7 +281,7 @@ class Kuka(Arm[ArmState]):
         self._late += message.late > 0
         return (self._state(message, now_ns),)
 
-    def _correction_deg(self, joints_deg: tuple[float, ...], now_ns: int) -> FloatArray:
+    def _correction_deg(self, joints_deg: tuple[float, ...], now_ns: int) -> kinematics.FloatArray:
         """(6,) for one cycle: velocity times cycle, within an axis's limit; zero without a valid velocity."""
         with self._commanded:
             streamed = self._streamed
@@ -313,7 +306,7 @@ class Kuka(Arm[ArmState]):
             return zero
         return correction_deg
 
-    def _answer(self, ipoc: int, corrections_deg: FloatArray) -> None:
+    def _answer(self, ipoc: int, corrections_deg: kinematics.FloatArray) -> None:
         corrections = tuple(float(value) for value in corrections_deg)
         data = encode_sen(SenMessage(corrections, ipoc, self.config.sen_type))
         self._transport.write(data)
@@ -329,7 +322,7 @@ class Kuka(Arm[ArmState]):
         span_s = max(now_ns - before_ns, 1) / 1e9
         pose = self._chain.end_effector(message.joints_deg)
         x, y, z = (float(value) for value in pose[:3, 3])
-        theta_x, theta_y, theta_z = (float(value) for value in euler_xyz_from_rotation(pose[:3, :3]))
+        theta_x, theta_y, theta_z = (float(value) for value in kinematics.euler_xyz_from_rotation(pose[:3, :3]))
         return ArmState(
             stamp=Stamp(now_ns, message.ipoc),
             joints_deg=message.joints_deg,
@@ -343,5 +336,5 @@ class Kuka(Arm[ArmState]):
         return {"commands_expired": self._expired, "corrections_clamped": self._clamped, "answers_late": self._late}
 
 
-def _by_axis(moved_deg: FloatArray) -> str:
+def _by_axis(moved_deg: kinematics.FloatArray) -> str:
     return ", ".join(f"{axis} {moved:+.3f}" for axis, moved in zip(AXES, moved_deg, strict=True)) + " deg"

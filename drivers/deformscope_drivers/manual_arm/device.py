@@ -11,15 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from deformscope_drivers.arm import kinematics
 from deformscope_drivers.arm.commands import SpeedLimits, Velocity
 from deformscope_drivers.arm.device import Arm
-from deformscope_drivers.arm.kinematics import (
-    Chain,
-    FloatArray,
-    euler_xyz_from_rotation,
-    rotation_from_euler_xyz,
-    transform,
-)
 from deformscope_drivers.arm.state import ArmState
 from deformscope_drivers.clock import Clock, Stamp, monotonic_ns
 from deformscope_drivers.device import Reconnect
@@ -67,10 +61,10 @@ class ManualArm(Arm[ArmState]):
         self._waiting = Pacer(clock)
         self._period_ns = round(1e9 / config.state_hz)
         self._next_ns = 0
-        self._pose = transform(rotation_from_euler_xyz(*config.theta_rad), config.start_m)
+        self._pose = kinematics.transform(kinematics.rotation_from_euler_xyz(*config.theta_rad), config.start_m)
 
     @property
-    def chain(self) -> Chain:
+    def chain(self) -> kinematics.Chain:
         raise self._no_commands("an arm with known joints")
 
     @property
@@ -78,7 +72,7 @@ class ManualArm(Arm[ArmState]):
         raise self._no_commands("an arm that moves on commands")
 
     @property
-    def T_base_end_effector(self) -> FloatArray:
+    def T_base_end_effector(self) -> kinematics.FloatArray:
         """(4, 4) where it was placed last [m]."""
         with self._commanded:
             return self._pose.copy()
@@ -131,7 +125,7 @@ class ManualArm(Arm[ArmState]):
         with self._commanded:
             pose = self._pose
         x, y, z = (float(value) for value in pose[:3, 3])
-        theta_x, theta_y, theta_z = (float(value) for value in euler_xyz_from_rotation(pose[:3, :3]))
+        theta_x, theta_y, theta_z = (float(value) for value in kinematics.euler_xyz_from_rotation(pose[:3, :3]))
         return (
             ArmState(
                 stamp=Stamp(now_ns),
@@ -154,10 +148,10 @@ class StandDouble:
 
     def put(self, T_base_end_effector: npt.ArrayLike) -> None:
         """A person places the end effector at this pose (4, 4) in the base frame [m]."""
-        self.T_base_end_effector: FloatArray = np.array(T_base_end_effector, dtype=float)
+        self.T_base_end_effector: kinematics.FloatArray = np.array(T_base_end_effector, dtype=float)
 
     @property
-    def T_base_links(self) -> FloatArray:
+    def T_base_links(self) -> kinematics.FloatArray:
         """(1, 4, 4) pose of its end, the only one that is known."""
         return self.T_base_end_effector[None]
 

@@ -10,24 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from deformscope_drivers.doubles import Line
+from deformscope_drivers.optoforce import protocol
 from deformscope_drivers.optoforce.config import Sensitivity
-from deformscope_drivers.optoforce.protocol import (
-    AXES,
-    CommandDecoder,
-    ConfigReply,
-    Configure,
-    DaqState,
-    Filter,
-    Kind,
-    Reading,
-    SensorState,
-    SerialReply,
-    SerialRequest,
-    Speed,
-    Status,
-    Zero,
-    encode,
-)
 
 SAMPLE_NS = 1_000_000
 """The DAQ samples and filters at 1 kHz, whatever its speed."""
@@ -44,7 +28,7 @@ OMD_20_SE_40N = Sensitivity(counts_at_nominal=(16037.0, 16037.0, 16037.0), nomin
 """The only sensor whose sensitivity is published: OMD-20-SE-40N, serial number ISE0A129. Another sensor has another."""
 
 
-_WELL = Status.of()
+_WELL = protocol.Status.of()
 
 
 def _nothing_touches(time_s: float) -> npt.ArrayLike:
@@ -64,7 +48,7 @@ class Sensors:
     counts_samples: the counter counts samples at 1 kHz, not readings (it is not documented which)
     acknowledges: the DAQ answers `Configure`; some firmware does not"""
 
-    kind: Kind = Kind.THREE_AXIS
+    kind: protocol.Kind = protocol.Kind.THREE_AXIS
     scene: Scene = _nothing_touches
     sensitivity: Sensitivity | Sequence[Sensitivity] | None = None
     serial: str = "ISE0A129"
@@ -95,8 +79,8 @@ class _VolatileSettings:
 
     cleared_ns: since when the zero point is cleared; None = it is set"""
 
-    speed: Speed = Speed.HZ_100
-    filter: Filter = Filter.HZ_15
+    speed: protocol.Speed = protocol.Speed.HZ_100
+    filter: protocol.Filter = protocol.Filter.HZ_15
     cleared_ns: int | None = None
 
 
@@ -124,12 +108,12 @@ class OptoforceDouble:
         self.power_up(0)
 
     @property
-    def speed(self) -> Speed:
+    def speed(self) -> protocol.Speed:
         """The period of its readings, as last set."""
         return self._settings.speed
 
     @property
-    def filter(self) -> Filter:
+    def filter(self) -> protocol.Filter:
         """The low-pass filter that is set."""
         return self._settings.filter
 
@@ -142,7 +126,7 @@ class OptoforceDouble:
         """Start as after switching on: defaults, zero point cleared, counter at 0."""
         shape = (self.sensors.kind.channels, self.sensors.kind.axes)
         self._settings = _VolatileSettings(cleared_ns=now_ns - ZERO_REST_NS)
-        self._commands = CommandDecoder()
+        self._commands = protocol.CommandDecoder()
         self._line.clear()
         self._random = np.random.default_rng(self.sensors.seed)
         self._started_ns = now_ns
@@ -157,10 +141,10 @@ class OptoforceDouble:
         self._run_until(now_ns)
         for command in self._commands.feed(data):
             match command:
-                case Configure():
+                case protocol.Configure():
                     self._configure(command, now_ns)
-                case SerialRequest():
-                    self._line.send(encode(SerialReply(self.sensors.serial)), now_ns)
+                case protocol.SerialRequest():
+                    self._line.send(protocol.encode(protocol.SerialReply(self.sensors.serial)), now_ns)
 
     def due(self, now_ns: int) -> bytes:
         """Bytes that have left the device by now and were not handed out before."""
@@ -173,9 +157,9 @@ class OptoforceDouble:
         times = [self._line.next_ns(), self._time_ns(self._next_sent) if self._settings.speed else None]
         return min((time for time in times if time is not None), default=None)
 
-    def _configure(self, asked: Configure, now_ns: int) -> None:
+    def _configure(self, asked: protocol.Configure, now_ns: int) -> None:
         try:
-            speed, filter_, zero = Speed(asked.speed), Filter(asked.filter), Zero(asked.zero)
+            speed, filter_, zero = protocol.Speed(asked.speed), protocol.Filter(asked.filter), protocol.Zero(asked.zero)
         except ValueError:
             self._acknowledge(1, now_ns)
             return
@@ -187,9 +171,9 @@ class OptoforceDouble:
         self._set_zero(zero, now_ns)
         self._acknowledge(0, now_ns)
 
-    def _set_zero(self, zero: Zero, now_ns: int) -> None:
+    def _set_zero(self, zero: protocol.Zero, now_ns: int) -> None:
         settings = self._settings
-        if zero is Zero.CLEAR:
+        if zero is protocol.Zero.CLEAR:
             self._zero = np.zeros_like(self._zero)
             settings.cleared_ns = now_ns if settings.cleared_ns is None else settings.cleared_ns
         elif settings.cleared_ns is not None and now_ns - settings.cleared_ns >= ZERO_REST_NS:
@@ -199,7 +183,7 @@ class OptoforceDouble:
 
     def _acknowledge(self, result: int, now_ns: int) -> None:
         if self.sensors.acknowledges:
-            self._line.send(encode(ConfigReply(result)), now_ns)
+            self._line.send(protocol.encode(protocol.ConfigReply(result)), now_ns)
 
     def _run_until(self, now_ns: int) -> None:
         speed = self._settings.speed
@@ -211,8 +195,8 @@ class OptoforceDouble:
                 counts[list(self.unplugged)] = 0.0
                 counter = self._sample - 1 if self.sensors.counts_samples else self._sent
                 rows = tuple(tuple(channel) for channel in counts.astype(int).tolist())
-                reading = Reading(self.sensors.kind, counter % 0x10000, self._status(), rows)
-                self._line.send(encode(reading), sent_ns)
+                reading = protocol.Reading(self.sensors.kind, counter % 0x10000, self._status(), rows)
+                self._line.send(protocol.encode(reading), sent_ns)
             self._sent += 1
             self._next_sent += int(speed)
 
@@ -240,7 +224,7 @@ class OptoforceDouble:
                 self._filtered = self._filtered + weight * (counts - self._filtered)
         self._sample = max(self._sample, last + 1)
 
-    def _status(self) -> Status:
+    def _status(self) -> protocol.Status:
         """The troubled sensor's; where several are, the first one's."""
         assert self._filtered is not None
         over = np.abs(self._filtered - self.sensors.offset_counts) > self._overload
@@ -248,10 +232,10 @@ class OptoforceDouble:
             return _WELL
         over[list(self.unplugged)] = False
         troubled = sorted(self.unplugged | set(np.flatnonzero(over.any(axis=1)).tolist()))
-        return Status.of(
-            DaqState.OK,
-            SensorState.NOT_DETECTED if self.unplugged else SensorState.OK,
-            tuple(name for axis, name in enumerate(AXES[: over.shape[1]]) if over[:, axis].any()),
+        return protocol.Status.of(
+            protocol.DaqState.OK,
+            protocol.SensorState.NOT_DETECTED if self.unplugged else protocol.SensorState.OK,
+            tuple(name for axis, name in enumerate(protocol.AXES[: over.shape[1]]) if over[:, axis].any()),
             several_sensors=len(troubled) > 1,
-            sensor_number=troubled[0] + 1 if self.sensors.kind is Kind.FOUR_CHANNEL else 0,
+            sensor_number=troubled[0] + 1 if self.sensors.kind is protocol.Kind.FOUR_CHANNEL else 0,
         )
