@@ -57,9 +57,8 @@ def cube(side: int) -> BenchBody:
 def poked(side: int) -> BenchBody:
     """A cube of which the middle ninth of the top is held and pressed by the same share.
 
-    The plates hold the whole of both faces, so that every column of a cube without volume conservation is pressed
-    equally. Conjugate gradients solve it in about as many iterations as there are layers: such static states are too
-    easy."""
+    The plates hold the whole of both faces, so every column of a cube without volume conservation is pressed alike.
+    Conjugate gradients solve it in about as many iterations as there are layers: such static states are too easy."""
     body = cube(side)
     tool = slice(side // 3, max(side - side // 3, side // 3 + 1))
     index = np.arange(body.particles).reshape(body.shape)

@@ -39,8 +39,7 @@ class Meter:
         self._base = _status("VmRSS")
 
     def peak(self) -> int | None:
-        """The most bytes in use since zero; on a GPU None if an earlier body used more, as the memory pool does not
-        shrink."""
+        """The most bytes in use since zero; on a GPU None if an earlier body used more: its pool does not shrink."""
         if self._base is None:
             return None
         if self._gpu:

@@ -65,8 +65,7 @@ def run_bench(
     plan: BenchPlan, against: Path | None, note: Note, done: Callable[[Report, Sequence[TimingRow]], None]
 ) -> None:
     """Measure, and pass report and rows to `done` at the end, also after an interruption. against: JSON of an earlier
-    run, which is compared. Raises InputError for unsupported cases, and for a sample of 0 or less, which no clock can
-    give."""
+    run, which is compared. Raises InputError for unsupported cases, and for samples of 0 or less."""
     check(plan)
     earlier = read_earlier(against)
     rows: list[TimingRow] = []

@@ -94,8 +94,7 @@ def recorder_of(
 ) -> Iterator[Recorder]:
     """The recorder and the view of a command, by its flags; remarks on the recording's place.
 
-    The flags are the recording's settings. application: None = the application for findings, with separate views for
-    each command"""
+    The flags are the recording's settings. application: None = that for findings, with views for each command"""
     from deformscope.log.layout import FINDINGS
 
     settings = settings_of(config)
@@ -116,8 +115,7 @@ def at_terminal() -> bool:
 
 
 def keep_page(*, served: bool = False) -> None:
-    """A page stays open until Ctrl-C if a command is to serve it, or a person is at a terminal; else, and then, the
-    page's server ends."""
+    """A page stays open until Ctrl-C if a command serves it or a person is at a terminal; then its server ends."""
     from deformscope.page.server.page_server import end_pages, running_pages
 
     if (served or at_terminal()) and (pages := running_pages()):
@@ -184,8 +182,7 @@ def write_json(value: object, target: str | None) -> None:
 
 @contextmanager
 def json_alone(target: str | None) -> Iterator[None]:
-    """With `--json -`, stdout carries the JSON and nothing else: all other output goes to stderr, also that of
-    libraries below Python."""
+    """With `--json -`, stdout carries the JSON and nothing else: all other output goes to stderr, also libraries'."""
     if target != "-":
         yield
         return

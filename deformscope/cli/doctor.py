@@ -35,8 +35,7 @@ CheckStatus = Literal["ok", "look", "FAIL"]
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that was checked. what: its name; verdict: `look` = works, but read the remark; told: the finding as
-    text"""
+    """A check. what: its name; verdict: `look` = works, but read the remark; told: the finding as text"""
 
     what: str
     verdict: CheckStatus

@@ -48,8 +48,7 @@ def run(config: ExploreConfig) -> int:
 
 
 class _Outputs:
-    """The files and the table of an exploration. unwritten: files that could not be written, which keeps none of the
-    others from being written"""
+    """The files and the table of an exploration. unwritten: files that could not be written; the others are"""
 
     def __init__(self, config: ExploreConfig) -> None:
         self.config = config

@@ -89,8 +89,7 @@ class _Stretches:
 @dataclass(slots=True)
 class _Watched:
     """A device. words: texts of its active alarms, by their subject; newest_ns: time of the last checked item, by its
-    kind, because only items of its kind clear an alarm; seen_ns: when each cause was last seen, silence since then left
-    out"""
+    kind, because only items of its kind clear an alarm; seen_ns: when each cause was last seen, without silence"""
 
     stuck_after_s: float | None
     stretches: _Stretches | None = None

@@ -307,8 +307,7 @@ def load_rig(where: str | Path, *, trusted: bool = False) -> Rig:
 
 
 def _read_regular(path: Path) -> bytes:
-    """A file's bytes; raises InputError for sources without an end, such as a device or a pipe, and for too large
-    files."""
+    """A file's bytes; raises InputError for a source without an end, as a device or a pipe, and a too large file."""
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a pipe without a writer would block
     try:
         if not stat.S_ISREG(os.fstat(descriptor).st_mode):

@@ -1,5 +1,4 @@
-"""Sections of a rig file: shapes of the robot, for its removal from the camera's image; for squeezes the hand, the
-container and the squeeze."""
+"""Sections of a rig file: shapes of the robot, for its removal from images; hand, container and squeeze."""
 
 from __future__ import annotations
 

@@ -89,8 +89,7 @@ class RobotDescription:
 
     def over_tip_m(self, placement: Placement, T_base_links: FloatArray) -> float:
         """How far the lowest of gripper, mount, stick and cables is above the tip's lowest point, along the tool; inf
-        where none is described. T_base_links: (n + 1, 4, 4) poses of the links in any configuration: the result moves
-        with the arm's end [m]"""
+        where none is described. T_base_links: (n + 1, 4, 4) poses of the links in any configuration [m]"""
         frames = np.concatenate([np.eye(4)[None], T_base_links])
         T_tip = np.linalg.inv(T_base_links[-1] @ placement.T_ee_center) @ frames
         ending = {-1, len(frames) - 2, len(frames) - 1}

@@ -84,9 +84,8 @@ def check(
     """Check a robot at rest for half a second, and its planned motion.
 
     plans: the touches, or those at the corners of the area of possible touches; calibrated: the required calibrations,
-    by name, and whether they are done; ages: ages of the calibrations, by name; lift_m: height of the plans above
-    the surface; described: shapes of hand and cables. Raises RobotStopped if the supervisor stops meanwhile; nothing
-    moves."""
+    by name, and whether they are done; ages: ages of the calibrations, by name; lift_m: height of the plans above the
+    surface; described: shapes of hand and cables. Raises RobotStopped if the supervisor stops. Nothing moves."""
     robot.start()
     seen = [robot.cycle() for _ in range(LOOK_PERIODS)]
     return Preflight(

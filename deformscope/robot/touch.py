@@ -1,8 +1,7 @@
 """One touch: down along the normal, press to a set force, dwell until still, and back.
 
 A state machine that is stepped once in a control period: its input are forces and the tip's place, its output is a
-velocity. Near contact the control is hybrid (Raibert and Craig 1981): force along the normal, position or force across
-it."""
+velocity. Near contact the control is hybrid (Raibert and Craig 1981): force along it, position or force across."""
 
 from __future__ import annotations
 
@@ -229,8 +228,7 @@ AVERAGED_NS = 3_000_000
 class TouchStateMachine:
     """The states from approach to retreat; `step` once in a control period, then `phase` is DONE.
 
-    Its input is the force along the normal and the depth. place: the tip's centre at contact with the estimated point.
-    """
+    Its input is the force along the normal and the depth. place: the tip's centre at the estimated point's contact."""
 
     def __init__(self, plan: TouchPlan, center_offset_m: float, start_s: float) -> None:
         self.plan = plan

@@ -62,8 +62,7 @@ def move_tip(
     """Move straight to the pose with the tip's centre (3,) [m] here and the stick along -normal, surface frame.
 
     passing: the tip continues from there, so that it need not arrive exactly; near_m: otherwise it arrives within this
-    distance; braking_per_s: see `TouchPlan`. Raises NotThere when late, RobotStopped, InputError if the robot has to
-    back off."""
+    distance; braking_per_s: see `TouchPlan`. Raises NotThere when late, RobotStopped, InputError on backing off."""
     goal = robot.placement.T_surface_base @ robot.placement.T_base_ee(center_m, normal)
     goal = goal @ robot.placement.T_ee_center
     move_to(robot, goal, speed_m_s, passing=passing, near_m=near_m, braking_per_s=braking_per_s)

@@ -47,8 +47,7 @@ def now() -> Stamp:
 class Unwrap:
     """A counter that starts again at `modulus`, as one that never does.
 
-    tick_ns: host time of a tick where it is known; a pause longer than half a round is then bridged by the host's clock
-    """
+    tick_ns: host time of a tick where it is known: it bridges a pause longer than half a round"""
 
     def __init__(self, modulus: int, tick_ns: float | None = None) -> None:
         self._modulus = modulus

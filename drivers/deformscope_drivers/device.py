@@ -2,8 +2,7 @@
 health.
 
 One thread owns the link, from opening to closing: only this thread reads and writes. Calls from other threads are
-handed to it (`_do`). Therefore no lock guards a port, no reading is split, and a cable that was pulled out is noticed
-in one place."""
+handed to it (`_do`). So no lock guards a port, no reading is split, and a pulled cable is noticed in one place."""
 
 from __future__ import annotations
 
@@ -370,8 +369,7 @@ class Device(ABC, Generic[MeasurementT]):
             self._changed.notify_all()
 
     def _wanted(self) -> bool:
-        """Whether a caller waits for a reading and no reader would lose one, for a device that can wait for its
-        readers."""
+        """Whether a caller waits and no reader would lose a reading, for a device that can wait for its readers."""
         with self._changed:
             if not self._own_thread:
                 return True
@@ -381,8 +379,7 @@ class Device(ABC, Generic[MeasurementT]):
 
     def _expect(self, rate_hz: float | None) -> None:
         """Expected readings from now on, so that silence is counted. rate_hz: as the device was set, 0 = unknown (as
-        for a device that never reports it); None = no readings without request: it was stopped, or gives them on
-        request"""
+        for a device that never reports it); None = none without request, or stopped"""
         with self._changed:
             self._tally.continuity.expect(self._clock(), rate_hz)
 
@@ -550,8 +547,7 @@ class StreamDevice(Device[MeasurementT]):
 
     A subclass gives `_start` (its first commands), `_make_decoder`, and `_measure` (an event of the decoder that is no
     measurement gives none). `_ask` sends a command and waits for its reply.
-    silence_s: a device that should send and sent nothing for this long is lost (a bus does not show it); None = it may
-    """
+    silence_s: a device that sent nothing for this long is lost (a bus does not show it); None = it may"""
 
     prompt = True
 

@@ -1,7 +1,6 @@
 """Finding frames in a byte stream that may hold anything: what every byte-stream decoder is made of.
 
-This module uses no port, clock or thread. Bad bytes are events, never exceptions: they are counted and recorded like
-good ones."""
+This module uses no port, clock or thread. Bad bytes are events, never exceptions: counted and recorded."""
 
 from __future__ import annotations
 

@@ -96,8 +96,7 @@ class HostedProcess:
             raise self._ended() from error
 
     def exit_status(self, timeout_s: float) -> int | None:
-        """Waits for the exit status of a process whose end of the socket is closed; None if it has not ended in
-        time."""
+        """Exit status of a process whose end of the socket is closed; None if it has not ended in time."""
         if self._process is None:
             return None
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -157,8 +156,7 @@ class Channel:
 
 
 def hosted_command(descriptor: str) -> list[str]:
-    """Command with this interpreter, which ignores modules in the working folder (-P). descriptor: descriptor of the
-    process's end of the socket"""
+    """Command with this interpreter, without modules of the working folder (-P). descriptor: of the process's socket"""
     return [sys.executable, "-S", "-P", "-m", "deformscope_drivers.hosted", descriptor]
 
 
@@ -181,8 +179,7 @@ def ask_hosted(ask: Callable[..., None], *settings: object, timeout_s: float) ->
 
 
 def exit_without_cleanup() -> None:
-    """Called in a process that loads a vendor's library: at exit the interpreter ends before what the library registers
-    to be run at the end."""
+    """For a process that loads a vendor's library: at exit the interpreter ends before what the library registers."""
     atexit.register(os._exit, 0)
 
 

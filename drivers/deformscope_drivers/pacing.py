@@ -1,5 +1,4 @@
-"""Waiting for a moment on a device's own clock, slots of equal length on an absolute schedule, and threads that the
-system runs before others."""
+"""Waiting for a moment on a device's own clock, slots on an absolute schedule, and threads that run before others."""
 
 from __future__ import annotations
 

@@ -69,8 +69,7 @@ class Transport(ABC):
         """End a `read` that waits, where the transport can."""
 
     def drain(self, first_s: float, quiet_s: float, limit_bytes: int = 1 << 20) -> bytes:
-        """Read incoming bytes: wait `first_s` for the first one, then continue until none came for `quiet_s`, or until
-        that many bytes have come."""
+        """Read bytes: wait `first_s` for the first one, then until none came for `quiet_s`, or that many bytes came."""
         found = self.read(first_s)
         while found and len(found) < limit_bytes and (more := self.read(quiet_s)):
             found += more
@@ -86,8 +85,7 @@ def check_port(port: str) -> None:
 class SerialTransport(Transport):
     """A serial port, or one behind the network: `/dev/ttyACM0`, `socket://host:port`, `rfc2217://host:port`.
 
-    port: a port that `check_port` accepts; baudrate: symbols a second, 8N1, no flow control (USB and sockets ignore it)
-    """
+    port: a port that `check_port` accepts; baudrate: 8N1, no flow control (USB and sockets ignore it)"""
 
     def __init__(self, port: str, baudrate: int) -> None:
         self.name = port

@@ -119,9 +119,8 @@ class Arm(Device[StateT]):
 
         velocity: CartesianVelocity, translation in the base frame and rotation in the end effector's, sent as joint
         rates for the joints' angles in each cycle; or JointVelocity [deg/s]
-        valid_for_s: after this it expires unless it is set again (default: the configured deadline) Raises OutOfLimits
-        (nothing is sent, the earlier one still holds), MotionStopped for a stopped arm, and other errors of its driver.
-        """
+        valid_for_s: after this it expires unless set again (default: the configured deadline). Raises OutOfLimits
+        (nothing is sent, the earlier one holds), MotionStopped for a stopped arm, and other errors of its driver."""
         self._require_open()
         commands.check_velocity(velocity, self.chain, self.speed_limits, self.name)
         valid_s = self.speed_limits.command_deadline_s if valid_for_s is None else valid_for_s

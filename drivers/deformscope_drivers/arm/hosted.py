@@ -29,8 +29,7 @@ from deformscope_drivers.pacing import READING, STEERING, be_prompt
 OPEN_S, ANSWER_S, END_S = 90.0, 6.0, 5.0
 """An arm may be sought for long, and a vendor's library may wait 5 s for a packet."""
 WAITING_S = 0.1
-"""Period of messages from a caller that waits for an answer: without them the other process halts an arm on its way
-home."""
+"""Period of messages from a caller that waits for an answer: without them an arm on its way home is halted there."""
 
 
 class HostedArm(Arm[ArmState]):
@@ -98,8 +97,7 @@ class HostedArm(Arm[ArmState]):
         self.ask("halt", self._stopped)
 
     def close(self) -> None:
-        """Call the arm's `close`. The arm is halted immediately, while this device's thread may still wait for a
-        state."""
+        """Call the arm's `close`. The arm is halted at once, while this thread may wait for a state."""
         words = "it is being closed"
         with self._commanded:
             moving = self._streamed is not None
@@ -130,8 +128,7 @@ class HostedArm(Arm[ArmState]):
         return state
 
     def ask(self, name: str, *arguments: object, timeout_s: float = ANSWER_S) -> Any:
-        """Call a method of the arm there, and return its result; raises its error. Threads do not wait for one
-        another's answers."""
+        """Call a method of the arm there; its result, or error. Threads do not wait for one another's answers."""
         self._require_open()
         if self._link is not Link.CONNECTED:
             raise LinkLost("a device that is connected", self._reason or self._link, where=self.name)
@@ -216,13 +213,11 @@ CALLS = frozenset({"stop", "halt", "acknowledge_stop", "home"})
 LONG = frozenset({"home"})
 """Those of these calls that take seconds."""
 UNATTENDED_S = 1.0
-"""During a long call its caller sends a message every `WAITING_S`; after this time without one there
-is no caller."""
+"""A long call's caller sends a message every `WAITING_S`; after this time without one there is no caller."""
 
 
 def serve(channel: Channel, kind: type[Arm[Any]], config: Any, still: bool) -> None:
-    """Move an arm until the program at the other end ends. still: as `Arm.still`. Raises DeviceError where the arm
-    cannot be opened."""
+    """Move an arm until the program at the other end ends. still: as `Arm.still`. Raises DeviceError at opening."""
     arm = kind(config)
     arm.still = still
     arm.open()

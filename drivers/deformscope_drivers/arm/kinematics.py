@@ -155,8 +155,7 @@ class Chain:
 
         T_base_end_effector: (4, 4) the requested pose [m]; start_deg: (n,) first start (default: the home pose);
         further starts are drawn with the seed; margin_deg: distance of the joints from the ends of their ranges. The
-        first start that converges ends the search. A target out of reach is no error: `converged` is then False and the
-        remaining errors are given."""
+        first start that converges ends the search. Out of reach is no error: `converged` is then False."""
         target = np.asarray(T_base_end_effector, dtype=float)
         if target.shape != (4, 4) or not np.all(np.isfinite(target)):
             raise ValueError(f"expected a finite 4 x 4 pose of the end effector; came {target.shape} {target.tolist()}")
@@ -305,8 +304,7 @@ def twist_size(twist: FloatArray) -> FloatArray:
 def least_singular(jacobian: FloatArray) -> FloatArray:
     """Smallest singular value (...,) of a geometric Jacobian (..., 6, n) [m/rad; rad/rad]: 0 at a singularity.
 
-    Joint rates of size r move the end effector by at least `least_singular * r` in every direction, and in the weakest
-    by no more than that."""
+    Joint rates of size r move the end effector by at least `least_singular * r`, and so in the weakest direction."""
     return np.asarray(np.linalg.svd(jacobian, compute_uv=False)[..., -1])
 
 

@@ -115,8 +115,7 @@ class DepthCamera(HostedCamera):
         return self._clock() if self._as_fast_as_read else frame.host_ns
 
     def _before(self, index: int, last: int) -> int:
-        """A recording's counter begins again with each round (and OpenNI2's player, at its own pace, swallows a round's
-        last frame)."""
+        """A recording's counter begins again with each round (OpenNI2's player swallows a round's last frame)."""
         frame_count = self._reported["frame_count"]
         if index > last or frame_count is None:
             return super()._before(index, last)

@@ -25,8 +25,7 @@ CAMERAS = {
     **{(PRIMESENSE, product): "PrimeSense" for product in (0x1280, 0x2100, 0x2200, 0xF9DB)},
     **{(MICROSOFT, product): "Kinect for Xbox 360 or Windows" for product in (0x02AE, 0x02BF)},
 }
-"""The depth cameras that OpenNI2's Debian package has udev rules for (60-libopenni2-0.rules), less their motors and
-microphones."""
+"""The depth cameras that OpenNI2's Debian package has udev rules for (60-libopenni2-0.rules), without motors."""
 
 
 def list_by_openni() -> list[ListedDevice] | None:

@@ -1,5 +1,4 @@
-"""Errors of cameras that triangulate: a projector or a second imager is a baseline away, and they measure disparity,
-not depth."""
+"""Errors of cameras that triangulate: with a projector or second imager a baseline away they measure disparity."""
 
 from __future__ import annotations
 
@@ -74,8 +73,7 @@ class TriangulatingSensor:
 
     def _shadowed(self, disparity: NDArray[np.float64], seen: NDArray[np.bool_], lens_px: float) -> NDArray[np.bool_]:
         """(h, w) pixels that the projector, or the other imager, does not reach: it is to the right, and something
-        nearer lies between. A pixel is lost where one to the right of it comes to lie at its place, or left of that,
-        over there."""
+        nearer lies between. A pixel is lost where one to its right comes to lie at its place, or left of it, there."""
         column = np.arange(disparity.shape[1])
         there = np.where(seen, column - disparity * (lens_px / self.focal_px), np.inf)
         nearest = np.minimum.accumulate(there[:, ::-1], axis=1)[:, ::-1]

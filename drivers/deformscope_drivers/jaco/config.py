@@ -35,8 +35,7 @@ class EthernetAddresses:
 class Workspace:
     """A box in the base frame that the end effector must not leave by a command.
 
-    low_m, high_m: (x, y, z) its lower and upper corner [m]; base frame: z up from the table, origin at the
-    middle of the base"""
+    low_m, high_m: (x, y, z) its lower and upper corner [m]; base frame: z up, origin at the middle of the base"""
 
     low_m: tuple[float, float, float]
     high_m: tuple[float, float, float]

@@ -49,8 +49,7 @@ STILL_DEG_S, STILL_S = 1.0, 0.5
 REACHED_M, REACHED_RAD, REACHED_DEG, REACHED_FINGER = 2e-3, 0.02, 0.5, 70.0
 CANDLE_DEG, CANDLE_WITHIN_DEG = 180.0, 3.0
 HOME_PAUSE_S = 1.0
-"""Time between stopping the control and starting it again before `MoveHome`, as in kinova-ros
-(`KinovaComm::homeArm`)."""
+"""Time from stopping the control to starting it before `MoveHome`, as in kinova-ros' `KinovaComm::homeArm`."""
 
 
 def open_jaco(config: JacoConfig) -> Arm[Any]:
@@ -431,8 +430,7 @@ class Jaco(Arm[JacoState]):
     def set_torque_zero(self, joint: int | None = None) -> None:
         """Call the torque that a joint shows now zero (1 to n; None = all, one after the other).
 
-        Call it only in the candle pose, with all joints at 180 deg, where gravity turns no joint. Raises OutOfLimits
-        elsewhere."""
+        Call it only in the candle pose, with all joints at 180 deg, where gravity turns no joint, else OutOfLimits."""
         state = self._fresh()
         count = self.chain.joint_count
         if joint is not None and not 1 <= joint <= count:

@@ -137,8 +137,7 @@ class JacoDouble:
             self._arm.wrench = pushed.copy()
 
     def push_link(self, link: int, force_n: npt.ArrayLike | None) -> None:
-        """Push the far end of a link (counted from 0) from now on: force (3,) [N] in the base frame; None = stop
-        pushing."""
+        """Push the far end of a link (from 0) from now on: force (3,) [N] in the base frame; None = no more."""
         with self._present():
             self._arm.link_push = None if force_n is None else (link, np.array(force_n, dtype=float))
 

@@ -2,8 +2,7 @@
 
 There are two libraries: USBCommandLayerUbuntu.so, and EthCommandLayerUbuntu.so whose functions have the prefix
 `Ethernet_`. Neither exports all that the headers declare, so each function is looked up when it is first called.
-Parameters that the headers write as `T &` are pointers; trajectory points, devices and pairs of CartesianInfo or
-AngularInfo go by value."""
+Parameters that the headers write as `T &` are pointers; points, devices and pairs of infos go by value."""
 
 from __future__ import annotations
 

@@ -54,8 +54,7 @@ SMOOTHING = 0.2
 TURN_NS = 50_000_000
 """If there is no time for other calls, one of them replaces the reading of angles this often."""
 RATES_OVER_NS = 40_000_000
-"""Angles this far apart give the joints' rates. Time over which rates are computed: over one slot, an error of 0.01 deg
-would be an error of 1 deg/s."""
+"""Time over which angles give rates: over one slot, an error of 0.01 deg would be one of 1 deg/s."""
 
 _ANGLES = "GetAngularPosition"
 _IN_TURN: dict[str, type[ctypes.Structure]] = {

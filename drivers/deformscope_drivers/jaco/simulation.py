@@ -261,8 +261,7 @@ class SimulatedArm:
         self.links = self.chain.forward(self.joints_deg)
 
     def _move_fingers(self, target: FloatArray) -> None:
-        """Move the fingers one cycle towards a target (n,), no faster than their limit and no farther than the gripped
-        object."""
+        """Move the fingers one cycle towards a target (n,), within their speed and up to the gripped object."""
         step = FINGER_SPEED * CYCLE_S
         self.fingers = np.minimum(self.fingers + np.clip(target - self.fingers, -step, step), self.grip)
 
@@ -345,7 +344,6 @@ def _beyond(push: FloatArray, least: FloatArray, most: FloatArray) -> FloatArray
 
 
 def _admit(rates: FloatArray, push: FloatArray, inertia: FloatArray, damping: FloatArray) -> FloatArray:
-    """(n,) rates after one cycle of inertia * acceleration + damping * rate = push, solved for its end so that it
-    cannot ring."""
+    """(n,) rates after one cycle of inertia * acceleration + damping * rate = push, solved for its end: no ringing."""
     moved: FloatArray = (inertia * rates + push * CYCLE_S) / np.maximum(inertia + damping * CYCLE_S, 1e-9)
     return moved

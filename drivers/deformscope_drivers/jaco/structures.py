@@ -17,8 +17,7 @@ FINGER_COUNT = 3
 FINGER_CLOSED = 6800.0
 ZONES_MAX, ZONE_POINTS = 10, 8
 ACTUATOR_ADDRESSES = (16, 17, 18, 19, 20, 21, 25)
-"""Addresses of the joints on the arm's own bus; 22 to 24 are the fingers (kinova-ros `kinova_comm.cpp`,
-setZeroTorque)."""
+"""Addresses of the joints on the arm's bus; 22 to 24: the fingers (kinova-ros `kinova_comm.cpp`, setZeroTorque)."""
 
 
 class PositionType(IntEnum):

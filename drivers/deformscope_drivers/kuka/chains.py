@@ -1,8 +1,7 @@
 """KUKA's six-axis arms as chains of joints.
 
 Lengths, ranges and speeds are facts of the published description (ros-industrial kuka_experimental, kuka_kr6_support,
-BSD-3). Angles are those of the controller: at (0, -90, 90, 0, 90, 0) the upper arm is upright, the forearm level, the
-flange down."""
+BSD-3). Angles are those of the controller: at (0, -90, 90, 0, 90, 0) upper arm upright, forearm level, flange down."""
 
 from __future__ import annotations
 
@@ -23,8 +22,7 @@ def kuka_chain(
     """lengths_m: height of the second axis, its distance from the first, upper arm, offset and length of the forearm,
     flange from the wrist [m]; ranges_deg, speeds_deg_s: ranges and speeds of each axis
 
-    The description's axes are -z, y, y, -x, y, -x of frames that are parallel at angle 0; here each is its frame's z.
-    """
+    The description's axes are -z, y, y, -x, y, -x of frames parallel at angle 0; here each is its frame's z."""
     high, out, upper, offset, forearm, flange = lengths_m
     frames = (
         ((0.0, 0.0, high), (_PI, 0.0, 0.0)),

@@ -71,8 +71,7 @@ TIMEOUT_S = 0.06
 
 def controller_files(config: KukaConfig) -> dict[str, str]:
     """Name and text of each file: with the configuration's address (the shipped one if it is 0.0.0.0), port and
-    sen_type, and its cycle. joint_limit_deg_s gives the limit of a cycle's correction, TIMEOUT_S that of missing
-    answers, in cycles."""
+    sen_type, and its cycle. joint_limit_deg_s gives the limit of a cycle's correction, TIMEOUT_S of missing answers."""
     address = "192.168.1.25" if config.address == "0.0.0.0" else config.address
     limit = f'{config.joint_limit_deg_s * config.cycle_s:.4g}"'
     timeout = f'="{round(TIMEOUT_S / config.cycle_s)}"'

@@ -21,8 +21,7 @@ from deformscope_drivers.kuka.chains import CHAINS
 from deformscope_drivers.kuka.messages import RobMessage, decode_sen, encode_rob
 
 UNIT_NM = np.array([2.0, 2.0, 1.5, 0.5, 0.5, 0.3])
-"""Torque at each axis for one unit of current. Torque for a current of 1; all numbers here are assumed, of the order of
-a small six-axis arm."""
+"""Torque at each axis for one unit of current; all numbers are assumed, of the order of a small six-axis arm."""
 MASSES_KG = ((3, 14.0), (5, 5.0), (6, 2.0))
 """Masses at the frames of links."""
 COULOMB_NM = np.array([12.0, 15.0, 10.0, 4.0, 3.0, 2.0])
@@ -132,8 +131,7 @@ class KukaDouble:
         return np.asarray(self.T_base_links[-1])
 
     def push(self, wrench: npt.ArrayLike) -> None:
-        """The push does not change the axes' angles, but the motors' currents. wrench: (6,) wrench on the flange, in
-        the base frame [N, Nm]"""
+        """A push changes the motors' currents, no angles. wrench: (6,) on the flange, in the base frame [N, Nm]"""
         self._wrench = np.array(wrench, dtype=float)
 
     # The wire --------------------------------------------------------------------------------------------------------

@@ -46,8 +46,7 @@ class SenMessage:
 
 
 def decode_rob(data: bytes) -> RobMessage:
-    """The controller's message. Raises ProtocolViolation for a datagram that is no such message, or lacks a required
-    element."""
+    """The controller's message. Raises ProtocolViolation for another datagram, or one without a required element."""
     root = _root(data, "Rob")
     delay = root.find("Delay")
     return RobMessage(

@@ -68,8 +68,7 @@ class OpenniCamera:
             self._device.register_depth_to_color()
 
     def words(self) -> dict[str, object]:
-        """Message to the program when the camera is open: sizes [px], rate [Hz], unit [m], field of view [rad],
-        names."""
+        """Message to the program at opening: sizes [px], rate [Hz], unit [m], field of view [rad], names."""
         mode, info = self.depth.mode(), self._device.info()
         seen_as = self.color if self.color is not None and self._registers else self.depth
         field_of_view = seen_as.field_of_view_rad() or self.depth.field_of_view_rad()

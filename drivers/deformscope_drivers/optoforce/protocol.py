@@ -174,8 +174,7 @@ class Reading:
 
     counter: 0 to 65535, wraps; whether it counts readings or the DAQ's own samples is not documented
     status: status of the DAQ and its sensors
-    counts: (channels, axes), Fx Fy Fz (Tx Ty Tz) in counts; what a count is worth is in a sensor's sensitivity report
-    """
+    counts: (channels, axes), Fx Fy Fz (Tx Ty Tz); a sensor's sensitivity report has a count's worth"""
 
     kind: Kind
     counter: int

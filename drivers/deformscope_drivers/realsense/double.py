@@ -38,13 +38,12 @@ FOCAL_OF_WIDTH = 0.5044
 class DoubleCamera:
     """A simulated camera with its faults.
 
-    usb: "3.2" or "2.1"; hidden: what keeps the library from knowing it; busy: what starting it raises
-    silent: no frames; frozen: the same picture; hung: a call that never comes back; lost: frames lost so far
-    clock_us: reading of its clock at the host's zero; metadata: the kernel passes its time stamps
-    drifting_unit_m: the unit of its frames, whatever was set; notes: its warnings; deaf: it ignores settings; lens:
-    distortion of its colour camera; color_late_ms: delay of its stamps relative to those of depth
-    repeating: a picture of depth comes again with the next one's colour, as the library does where pairs do not match
-    """
+    usb: "3.2" or "2.1"; hidden: what keeps the library from knowing it; busy: what starting it raises silent: no
+    frames; frozen: the same picture; hung: a call that never comes back; lost: frames lost so far clock_us: reading of
+    its clock at the host's zero; metadata: the kernel passes its time stamps drifting_unit_m: the unit of its frames,
+    whatever was set; notes: its warnings; deaf: it ignores settings; lens: distortion of its colour camera;
+    color_late_ms: delay of its stamps relative to those of depth repeating: a picture of depth comes again with the
+    next one's colour, as where pairs do not match"""
 
     serial: str = "837212070000"
     name: str = "Intel RealSense D435"
@@ -75,8 +74,7 @@ def plug(file: Path, *cameras: DoubleCamera) -> None:
 
 
 class _World:
-    """The cameras that are plugged in, from the file that CAMERAS_FILE names; it is read again whenever it has
-    changed."""
+    """The cameras that are plugged in, from the file that CAMERAS_FILE names; read again whenever it changed."""
 
     def __init__(self) -> None:
         self._file = os.environ.get(CAMERAS_FILE, "")
@@ -182,8 +180,7 @@ def video_stream_profile(of: stream, width: int, height: int, fps: int, coeffs: 
 
 
 class sensor:
-    """The sensor of depth or colour, with the settings of one device object: they end with the object, as with a reset
-    of a camera."""
+    """The sensor of depth or colour, with the settings of one device object, which end with it."""
 
     def __init__(self, serial: str, of: stream) -> None:
         self._serial, self._of = serial, of

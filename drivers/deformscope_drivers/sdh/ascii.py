@@ -67,8 +67,7 @@ def decode_command(line: str) -> Command:
 
 
 def encode_reply(event: Event) -> bytes:
-    """The hand's line. How many decimals measured and set values have is not documented; whole numbers are sent as
-    such."""
+    """The hand's line. Decimals of measured and set values are not documented; whole numbers are sent as such."""
     match event:
         case ErrorReply(code=code):
             return f"E{code}\r\n".encode()

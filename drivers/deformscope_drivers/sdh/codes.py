@@ -1,7 +1,6 @@
 """The SDH hand's numbers: commands, error codes, axis states, grasps, controllers, limits, firmware releases.
 
-Source: ipab-slmc/SDHLibrary-CPP (Schunk's own library), sdh_codes.h, sdhbase.cpp, sdh.cpp, sdhserial.cpp; facts only.
-"""
+Source: ipab-slmc/SDHLibrary-CPP (Schunk's library), sdh_codes.h, sdhbase.cpp, sdh.cpp, sdhserial.cpp; facts only."""
 
 from __future__ import annotations
 

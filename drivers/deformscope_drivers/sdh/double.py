@@ -96,8 +96,7 @@ class SdhDouble:
         self._line.send(data, now_ns)
 
     def position_deg(self, now_ns: int) -> tuple[float, ...]:
-        """The angles of the axes, (7,), at that moment; for the double's caller, not for use parallel to a wire's
-        thread."""
+        """The angles of the axes, (7,), at that moment; for the double's caller, not parallel to a wire's thread."""
         self._run(now_ns)
         return tuple(axis.position_deg for axis in self.motion.axes)
 

@@ -21,10 +21,9 @@ class Command:
 class Reading:
     """A measurement of the hand.
 
-    quantity: `pos`, `tpap` [deg]; `vel`, `rvel`, `tvav` [deg/s]; `state` (AxisState); `temp` [deg C]. `tpap` and `tvav`
-    are the actual angles and velocities that setting a target answers with; `rvel` is the reference velocity; values: 7
-    values, by axis; 9 temperatures: of the 7 motors, the FPGA and the board; 1 value if one axis was requested
-    axis: None = all"""
+    quantity: `pos`, `tpap` [deg]; `vel`, `rvel`, `tvav` [deg/s]; `state` (AxisState); `temp` [deg C]. `tpap`, `tvav`:
+    actual angles and velocities in answer to a target; `rvel` is the reference velocity; values: 7 values, by axis; 9
+    temperatures: of the 7 motors, the FPGA and the board; 1 value if one axis was requested axis: None = all"""
 
     quantity: str
     values: tuple[float, ...]

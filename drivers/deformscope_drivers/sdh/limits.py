@@ -16,8 +16,7 @@ ByAxis = tuple[float, ...]
 class Limits:
     """The limits of the seven axes. Velocities and accelerations are the hand's own where its firmware reports them.
 
-    position_min_deg, position_max_deg, velocity_max_deg_s, acceleration_max_deg_s2, current_max_a: (7,) limits of each
-    axis"""
+    position_min_deg, position_max_deg, velocity_max_deg_s, acceleration_max_deg_s2, current_max_a: (7,) by axis"""
 
     position_min_deg: ByAxis = codes.POSITION_MIN_DEG
     position_max_deg: ByAxis = codes.POSITION_MAX_DEG

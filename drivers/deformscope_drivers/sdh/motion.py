@@ -4,8 +4,7 @@ Known from Schunk's library and its trace of old firmware: all axes of a pose mo
 grasps' angles. The sin² profile takes twice the distance over the set velocity (8.31 deg at 40 deg/s have T=0.42s, 42
 points: the hand's cycle is 10 ms). Assumed: the ramp profile is a trapezoid; `stop` slows down by the set acceleration;
 "CW" is the direction of growing angles; the temperatures' time and size. Also assumed: an axis in soft contact
-continues at its set speed within its current limit, and reports to be blocked while it hardly moves; gears hold an axis
-at rest."""
+continues at its set speed within its current limit, and reports `blocked` while it hardly moves; gears hold."""
 
 from __future__ import annotations
 

@@ -65,8 +65,7 @@ class Webcam(Device[ColorImage]):
 
     open() raises SettingsRefused when the camera runs otherwise than configured. `health().extra["gaps"]` counts pauses
     between images longer than one and a half periods, by the camera's timestamps if it gives them. They are lost
-    images, or longer exposures in the dark (OpenCV gives no frame counter that would show it). Never tried on a camera.
-    """
+    images, or longer exposures in the dark (OpenCV gives no frame counter). Never tried on a camera."""
 
     queue_readings: ClassVar[int] = QUEUE_IMAGES
 
