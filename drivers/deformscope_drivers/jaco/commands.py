@@ -49,19 +49,13 @@ def check_target(target: Target, chain: Chain, config: JacoConfig, start_deg: Se
         pose = kinematics.transform(kinematics.rotation_from_euler_xyz(*thetas), position)
         found = chain.inverse(pose, start_deg, position_tolerance_m=1e-3, rotation_tolerance_rad=1e-2)
         if not found.converged:
-            raise OutOfLimits(
-                "a pose that the joints can reach",
-                f"one that stays {found.position_error_m * 1e3:.3g} mm and {found.rotation_error_rad:.3g} rad away",
-                "a pose nearer to the base, or another rotation of the hand",
-                where,
-            )
+            away = f"{found.position_error_m * 1e3:.3g} mm and {found.rotation_error_rad:.3g} rad away"
+            advice = "a pose nearer to the base, or another rotation of the hand"
+            raise OutOfLimits("a pose that the joints can reach", f"one that stays {away}", advice, where)
     if config.workspace is not None and not config.workspace.contains(position):
-        raise OutOfLimits(
-            f"a position between {config.workspace.low_m} and {config.workspace.high_m} m",
-            f"{tuple(round(value, 4) for value in position)}",
-            "a target within the workspace, or a larger workspace in the configuration",
-            where,
-        )
+        expected = f"a position between {config.workspace.low_m} and {config.workspace.high_m} m"
+        advice = "a target within the workspace, or a larger workspace in the configuration"
+        raise OutOfLimits(expected, f"{tuple(round(value, 4) for value in position)}", advice, where)
 
 
 def check_fingers(fingers: Sequence[float], where: str) -> tuple[float, ...]:

@@ -436,12 +436,9 @@ class Jaco(Arm[JacoState]):
         if joint is not None and not 1 <= joint <= count:
             raise OutOfLimits(f"a joint from 1 to {count}", repr(joint), "", self.name)
         if max(abs(angle - CANDLE_DEG) for angle in state.joints_deg) > CANDLE_WITHIN_DEG:
-            raise OutOfLimits(
-                f"all joints within {CANDLE_WITHIN_DEG:g} deg of {CANDLE_DEG:g} deg",
-                f"{tuple(round(angle, 1) for angle in state.joints_deg)} deg",
-                f"move_to(JointTarget(({CANDLE_DEG:g},) * {count}))",
-                self.name,
-            )
+            expected = f"all joints within {CANDLE_WITHIN_DEG:g} deg of {CANDLE_DEG:g} deg"
+            came = f"{tuple(round(angle, 1) for angle in state.joints_deg)} deg"
+            raise OutOfLimits(expected, came, f"move_to(JointTarget(({CANDLE_DEG:g},) * {count}))", self.name)
         for number in range(1, count + 1) if joint is None else (joint,):
             self._configure("SetTorqueZero", structures.ACTUATOR_ADDRESSES[number - 1])
 
@@ -457,12 +454,8 @@ class Jaco(Arm[JacoState]):
         lows = finite("values", first, count, self.name)
         highs = finite("values", second, count, self.name)
         if min(*lows, *highs) < 0 or (ordered and any(low > high for low, high in zip(lows, highs, strict=True))):
-            raise OutOfLimits(
-                "values from 0" + (", the least not above the most" if ordered else ""),
-                f"{lows} and {highs}",
-                "",
-                self.name,
-            )
+            expected = "values from 0" + (", the least not above the most" if ordered else "")
+            raise OutOfLimits(expected, f"{lows} and {highs}", "", self.name)
         return kind(*lows), kind(*highs)
 
     def _configure(self, name: str, *arguments: object) -> None:
@@ -503,12 +496,8 @@ class Jaco(Arm[JacoState]):
 
     def _require_homed(self) -> None:
         if self.config.require_home and not self.homed:
-            raise NotHomed(
-                "an arm that was homed after power-on",
-                "one that was not",
-                "hold its joystick's home button until it rests; or deformscope arm home RIG; or arm.home()",
-                self.name,
-            )
+            advice = "hold its joystick's home button until it rests; or deformscope arm home RIG; or arm.home()"
+            raise NotHomed("an arm that was homed after power-on", "one that was not", advice, self.name)
 
 
 def _still(state: JacoState) -> bool:

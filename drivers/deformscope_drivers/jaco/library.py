@@ -107,13 +107,11 @@ class Library:
             try:
                 self._handle = ctypes.CDLL(self.where)
             except OSError as error:
-                raise LibraryMissing(
-                    "the vendor's library",
-                    str(error),
+                advice = (
                     "get it from Kinova (it is in the kinova-ros repository, kinova_driver/lib) and give its path, "
-                    "or put its folder into LD_LIBRARY_PATH before this program starts",
-                    self.where,
-                ) from error
+                    "or put its folder into LD_LIBRARY_PATH before this program starts"
+                )
+                raise LibraryMissing("the vendor's library", str(error), advice, self.where) from error
         return self._handle
 
     def function(self, name: str) -> Callable[..., int]:
@@ -125,11 +123,9 @@ class Library:
             try:
                 found = handle[symbol]
             except AttributeError as error:
+                advice = "check that the connection (usb or ethernet) is that of the library, and its version (5.2.0)"
                 raise SymbolMissing(
-                    f"a library that exports {symbol}",
-                    "none of that name",
-                    "check that the connection (usb or ethernet) is that of the library, and its version (5.2.0)",
-                    self.where,
+                    f"a library that exports {symbol}", "none of that name", advice, self.where
                 ) from error
             found.argtypes = SIGNATURES[name]
             found.restype = c_int

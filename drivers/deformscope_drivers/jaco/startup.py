@@ -100,13 +100,13 @@ def check_pose(functions: Functions, chain: Chain) -> None:
     error = pose_error(ours, theirs)
     off_mm, off_deg = 1e3 * np.linalg.norm(error[:3]), np.degrees(np.linalg.norm(error[3:]))
     if not (off_mm <= POSE_MM and off_deg <= POSE_DEG):
-        raise SettingsRefused(
-            f"the arm's hand within {POSE_MM:g} mm and {POSE_DEG:g} deg of the pose of a {chain.name} at these angles",
-            f"one that the arm reports {off_mm:.1f} mm and {off_deg:.1f} deg away",
+        within = f"within {POSE_MM:g} mm and {POSE_DEG:g} deg of the pose of a {chain.name} at these angles"
+        came = f"one that the arm reports {off_mm:.1f} mm and {off_deg:.1f} deg away"
+        advice = (
             "another `model`; or set the tool offset that is stored in the arm to zero (SetEndEffectorOffset, Kinova's "
-            "Development Center): the tool belongs into the rig file",
-            functions.where,
+            "Development Center): the tool belongs into the rig file"
         )
+        raise SettingsRefused(f"the arm's hand {within}", came, advice, functions.where)
 
 
 def let_go(functions: Functions) -> DeviceError | None:
@@ -185,12 +185,9 @@ def _identify(device: KinovaDevice, version: tuple[int, int, int], config: JacoC
     said = _MODELS.get(DeviceType(device.DeviceType)) if device.DeviceType in DeviceType.__members__.values() else None
     model = config.model or said
     if model is None:
-        raise SettingsRefused(
-            f"an arm whose geometry is known ({', '.join(sorted(CHAINS))})",
-            f"one of type {device.DeviceType}",
-            "give `model` if it is one of them nevertheless",
-            where,
-        )
+        expected = f"an arm whose geometry is known ({', '.join(sorted(CHAINS))})"
+        advice = "give `model` if it is one of them nevertheless"
+        raise SettingsRefused(expected, f"one of type {device.DeviceType}", advice, where)
     if said is not None and said != model:
         raise SettingsRefused(f"a {model}", f"an arm that reports {said} as its model", "correct `model`", where)
     return JacoIdentity(

@@ -54,12 +54,9 @@ def set_zones(functions: Functions, boxes: Sequence[Workspace], pause: Callable[
         pause()
     stored = read(functions, "GetProtectionZone", ZoneList)
     if not _alike(boxes, stored):
-        raise SettingsRefused(
-            f"an arm that stores {len(boxes)} protection zones",
-            f"one that reports {len(_closed(stored))}, or others",
-            "check them in Kinova's Development Center; or leave protection_zones out of the rig file",
-            functions.where,
-        )
+        expected, came = f"an arm that stores {len(boxes)} protection zones", f"{len(_closed(stored))}, or others"
+        advice = "check them in Kinova's Development Center; or leave protection_zones out of the rig file"
+        raise SettingsRefused(expected, f"one that reports {came}", advice, functions.where)
 
 
 def _closed(zones: ZoneList) -> list[Zone]:

@@ -281,12 +281,9 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         after = self._still_mean(count, still_counts, "the zero point is set, perhaps wrongly")
         if np.abs(after).max() > still_counts:
             self._send_settings(replace(self._settings, zeroed=False))
-            raise SettingsRefused(
-                f"readings within {still_counts:g} counts of zero",
-                f"{np.array2string(after, precision=0)}; the zero point is cleared again",
-                "zero() once more",
-                self.name,
-            )
+            expected = f"readings within {still_counts:g} counts of zero"
+            came = f"{np.array2string(after, precision=0)}; the zero point is cleared again"
+            raise SettingsRefused(expected, came, "zero() once more", self.name)
         self._measurer.offset = before - after
         self._measurer.offset.setflags(write=False)
         return self._measurer.offset
@@ -299,18 +296,14 @@ class Optoforce(StreamDevice[ForceMeasurement]):
             raise SettingsRefused("a sensor without faults", f"{bad.status}; {state}", "unload it", self.name)
         counts = np.array([reading.counts for reading in readings if not reading.doubts], float)
         if len(counts) < STILL_PARTS:
-            raise SettingsRefused(
-                "plausible readings", f"{len(counts)} of {count}; {state}", "check the cable", self.name
-            )
+            came = f"{len(counts)} of {count}; {state}"
+            raise SettingsRefused("plausible readings", came, "check the cable", self.name)
         means = np.stack([part.mean(axis=0) for part in np.array_split(counts, STILL_PARTS)])
         varies = max(float(np.ptp(means, axis=0).max()), float(counts.std(axis=0).max()))
         if varies > still_counts:
-            raise SettingsRefused(
-                f"readings that vary by less than {still_counts:g} counts",
-                f"{varies:.3g}; {state}",
-                "keep what touches the sensor at rest; zero(still_counts=...)",
-                self.name,
-            )
+            expected = f"readings that vary by less than {still_counts:g} counts"
+            advice = "keep what touches the sensor at rest; zero(still_counts=...)"
+            raise SettingsRefused(expected, f"{varies:.3g}; {state}", advice, self.name)
         return np.asarray(counts.mean(axis=0))
 
     def _gather(self, count: int) -> list[ForceMeasurement]:

@@ -138,12 +138,9 @@ class ForceMeasurer:
         if self.kind is None:
             kind, reports = reading.kind, self._reports
             if reports and (len(reports) != kind.channels or any(report.axes != kind.axes for report in reports)):
-                raise SettingsRefused(
-                    f"{len(reports)} sensors of {reports[0].axes} axes, as in `sensitivity`",
-                    f"a {kind.value} DAQ: {kind.channels} of {kind.axes}",
-                    "one sensitivity report for each sensor",
-                    self._name,
-                )
+                expected = f"{len(reports)} sensors of {reports[0].axes} axes, as in `sensitivity`"
+                came = f"a {kind.value} DAQ: {kind.channels} of {kind.axes}"
+                raise SettingsRefused(expected, came, "one sensitivity report for each sensor", self._name)
             if self.offset is not None and self.offset.shape != (kind.channels, kind.axes):
                 self.offset = None  # another sensor hangs there now
             self.kind = kind

@@ -171,12 +171,9 @@ def apply(config: WebcamConfig, capture: Capture, where: str) -> None:
         if came is None or not abs(came - value) <= tolerance:
             wrong.append((setting, value, came))
     if wrong:
-        raise SettingsRefused(
-            ", ".join(_to_text(setting, value) for setting, value, _ in wrong),
-            ", ".join(_to_text(setting, came) for setting, _, came in wrong),
-            f"v4l2-ctl -d {where} --list-formats-ext --list-ctrls",
-            where,
-        )
+        expected = ", ".join(_to_text(setting, value) for setting, value, _ in wrong)
+        seen = ", ".join(_to_text(setting, came) for setting, _, came in wrong)
+        raise SettingsRefused(expected, seen, f"v4l2-ctl -d {where} --list-formats-ext --list-ctrls", where)
 
 
 def to_fourcc(text: str) -> int:
