@@ -25,8 +25,7 @@ HEALTH_PERIOD_S = 1.0
 
 @dataclass(frozen=True, slots=True)
 class RigMember:
-    """A device to be opened. device: the device, not yet opened; simulated: a double replaces it; late_ns: calibrated
-    delay that is subtracted from its stamps"""
+    """device: not yet opened; simulated: a double replaces it; late_ns: calibrated delay, subtracted from its stamps"""
 
     name: str
     driver: Driver

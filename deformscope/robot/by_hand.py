@@ -202,8 +202,7 @@ class PlacedRun(TouchRun):
 
 
 def height_m_of(answer: str, asked_m: float) -> float | None:
-    """The height above the table [m] from an answer in mm; an empty answer = as requested. None if it is no number, or
-    more than MOST_CORRECTION_M from the request."""
+    """Height above the table [m] from an answer in mm, empty = as requested; None if no number or too far from it."""
     if not answer:
         return asked_m
     with contextlib.suppress(ValueError):

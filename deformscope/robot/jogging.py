@@ -25,20 +25,8 @@ REPEATS_S = 0.8
 """The same key again so soon after the last is a key that is held: terminals wait up to 0.6 s before they repeat."""
 LEAVE = "q"
 
-MOVES: dict[str, tuple[int, float]] = {
-    "d": (0, 1.0),
-    "a": (0, -1.0),
-    "w": (1, 1.0),
-    "s": (1, -1.0),
-    "r": (2, 1.0),
-    "f": (2, -1.0),
-    "o": (3, 1.0),
-    "u": (3, -1.0),
-    "i": (4, 1.0),
-    "k": (4, -1.0),
-    "l": (5, 1.0),
-    "j": (5, -1.0),
-}
+KEYS = ("da", "ws", "rf", "ou", "ik", "lj")
+MOVES = {key: (axis, way) for axis, keys in enumerate(KEYS) for key, way in zip(keys, (1.0, -1.0), strict=True)}
 """Key to axis (x, y, z, then turns about them, surface frame) and way."""
 HELP = (
     "a d  along x    w s  along y    f r  down, up    u o, k i, j l  turn about x, y, z\n1 2 3  steps of 1, "

@@ -1,7 +1,6 @@
 """Arm, force sensor and camera as one robot with one control period, watched by the supervisor.
 
-The same code runs on real devices, which have their own threads, and in a simulated laboratory; only the wait for the
-next control period differs (`wait_until`)."""
+The same code runs on real devices, which have threads, and in a simulated laboratory; only `wait_until` differs."""
 
 from __future__ import annotations
 

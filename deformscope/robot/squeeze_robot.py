@@ -1,7 +1,6 @@
 """A hand and its tactile arrays with one control period, watched by a supervisor: pre-shape, close, hold, open.
 
-The same code runs on real devices, which have their own threads, and in a simulated laboratory; only the wait for the
-next control period differs (`wait_until`)."""
+The same code runs on real devices, which have threads, and in a simulated laboratory; only `wait_until` differs."""
 
 from __future__ import annotations
 
@@ -165,8 +164,7 @@ class SqueezeRobot:
 
     @contextlib.contextmanager
     def low_current(self) -> Iterator[None]:
-        """Limit the current of the closing axes while the block runs; the earlier limits are restored after it, in any
-        case. `restore` reports whether that worked."""
+        """Limit the current of the closing axes while the block runs; the earlier limits are restored after it."""
 
         def limit() -> None:
             self._limits_a = self.hand.current_limits_a(CurrentMode.MOVE)

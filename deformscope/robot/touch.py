@@ -1,7 +1,8 @@
 """One touch: down along the normal, press to a set force, dwell until still, and back.
 
 A state machine that is stepped once in a control period: its input are forces and the tip's place, its output is a
-velocity. Near contact the control is hybrid (Raibert and Craig 1981): force along it, position or force across."""
+velocity. Near contact the control is hybrid (Raibert and Craig 1981): force along the normal, position or force
+across it."""
 
 from __future__ import annotations
 

@@ -21,8 +21,7 @@ RATE_FROM_S, RATE_OVER_S = 1.0, 10.0
 
 @dataclass(frozen=True, slots=True)
 class Missing:
-    """silent_s: how long readings should have come and did not [s]; count: how many readings that is at the device's
-    rate, 0 where the rate is not known"""
+    """silent_s: how long readings were missing [s]; count: how many that is at the device's rate, 0 where unknown"""
 
     silent_s: float = 0.0
     count: int = 0

@@ -62,8 +62,7 @@ RECONNECT = Reconnect()
 
 
 class EndOfReadings(Exception):
-    """Raised by a `_receive` at the end of its data, such as a file: readers end, as after closing the device. Its
-    words become the reason in `health()`."""
+    """Raised by a `_receive` at the end of its data (a file): readers end. Its words are the reason in `health()`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,8 +224,7 @@ class Device(ABC, Generic[MeasurementT]):
         return iter(self.readings())
 
     def readings(self, capacity: int | None = None) -> Subscription[MeasurementT]:
-        """A queue of every reading from now on; of a closed device, from its next opening on. capacity: readings that
-        wait for a slow reader before any is lost"""
+        """A queue of every reading from now, or the next opening, on. capacity: readings that wait for a slow reader"""
         return self._subscribe(self._readings, self.queue_readings if capacity is None else capacity)
 
     def next(self, timeout_s: float) -> MeasurementT:
@@ -379,7 +377,7 @@ class Device(ABC, Generic[MeasurementT]):
 
     def _expect(self, rate_hz: float | None) -> None:
         """Expected readings from now on, so that silence is counted. rate_hz: as the device was set, 0 = unknown (as
-        for a device that never reports it); None = none without request, or stopped"""
+        for a device that never reports it); None = none without request"""
         with self._changed:
             self._tally.continuity.expect(self._clock(), rate_hz)
 

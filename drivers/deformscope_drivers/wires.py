@@ -1,7 +1,6 @@
 """Doubles behind real transports: a pseudo terminal, a CAN bus, a socket.
 
-A wire has one thread, which feeds the double with bytes and time and sends what is due, at the pace of the double.
-Cables can be pulled out and put back."""
+A wire has one thread, which feeds the double with bytes and time and sends what is due. Cables can be pulled out."""
 
 from __future__ import annotations
 

@@ -16,8 +16,7 @@ from deformscope_drivers.errors import OutOfLimits
 
 Vector3 = tuple[float, float, float]
 JOINT_MARGIN_DEG, NEGLIGIBLE_DEG_S = 5.0, 0.01
-"""Least distance of a joint from the end of its range [deg]; a joint that turns slower than this [deg/s] is at rest: it
-turns by 1e-4 deg in a control period of 10 ms."""
+"""Least distance of a joint from its range's end [deg]; slower than this [deg/s] it is at rest: 1e-4 deg in 10 ms."""
 DAMPED_BELOW = 0.03
 """Smallest singular value of the Jacobian [m/rad; rad/rad] that is inverted in full. Least singular value below which
 motions are damped. Above it, joints at 20 deg/s (the driver's standard limit) move the arm's end by at least 0.03 *

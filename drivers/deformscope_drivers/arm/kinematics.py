@@ -277,8 +277,7 @@ def damped_joint_rates(
 
     damping: smallest singular value that is still inverted in full. Below it the rates are bounded, and the twist is
     then not reached (Nakamura and Hanafusa 1986; Maciejewski and Klein 1988).
-    wish_rad_s: (n,) additional desired rates, in the null space of the end effector's motion, for an arm with more than
-    six joints (Liegeois 1977); ignored with six"""
+    wish_rad_s: (n,) desired rates in the null space of the end's motion, for more than six joints (Liegeois 1977)"""
     left, values, right = np.linalg.svd(jacobian, full_matrices=wish_rad_s is not None)
     least = values[..., -1:]
     extra = np.where(least >= damping, 0.0, (1.0 - (least / damping) ** 2) * damping**2)
@@ -304,7 +303,7 @@ def twist_size(twist: FloatArray) -> FloatArray:
 def least_singular(jacobian: FloatArray) -> FloatArray:
     """Smallest singular value (...,) of a geometric Jacobian (..., 6, n) [m/rad; rad/rad]: 0 at a singularity.
 
-    Joint rates of size r move the end effector by at least `least_singular * r`, and so in the weakest direction."""
+    Joint rates of size r move the end effector by `least_singular * r` in the weakest direction, else by more."""
     return np.asarray(np.linalg.svd(jacobian, compute_uv=False)[..., -1])
 
 

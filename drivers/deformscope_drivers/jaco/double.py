@@ -1,7 +1,6 @@
 """The vendor's functions over a simulated arm: what `Library` is to a real Jaco, `JacoDouble` is to this one.
 
-The double has no thread: time passes on the given clock, a laboratory's or the host's, and each call first simulates
-the cycles since the last call."""
+The double has no thread: time passes on the given clock, and each call first simulates the cycles since the last."""
 
 from __future__ import annotations
 

@@ -38,12 +38,12 @@ FOCAL_OF_WIDTH = 0.5044
 class DoubleCamera:
     """A simulated camera with its faults.
 
-    usb: "3.2" or "2.1"; hidden: what keeps the library from knowing it; busy: what starting it raises silent: no
-    frames; frozen: the same picture; hung: a call that never comes back; lost: frames lost so far clock_us: reading of
-    its clock at the host's zero; metadata: the kernel passes its time stamps drifting_unit_m: the unit of its frames,
-    whatever was set; notes: its warnings; deaf: it ignores settings; lens: distortion of its colour camera;
-    color_late_ms: delay of its stamps relative to those of depth repeating: a picture of depth comes again with the
-    next one's colour, as where pairs do not match"""
+    usb: "3.2" or "2.1"; hidden: what keeps the library from knowing it; busy: what starting it raises
+    silent: no frames; frozen: the same picture; hung: a call that never comes back; lost: frames lost so far
+    clock_us: reading of its clock at the host's zero; metadata: the kernel passes its time stamps
+    drifting_unit_m: the unit of its frames, whatever was set; notes: its warnings; deaf: it ignores settings; lens:
+    distortion of its colour camera; color_late_ms: delay of its stamps relative to those of depth
+    repeating: a picture of depth comes again with the next one's colour, as where pairs do not match"""
 
     serial: str = "837212070000"
     name: str = "Intel RealSense D435"
