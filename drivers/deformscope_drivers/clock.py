@@ -82,10 +82,6 @@ class ClockRelation:
     residual_ns: float
     anchors: int
 
-    def to_host_ns(self, ticks: int) -> float:
-        """Host time of this (unwrapped) tick after the shortest delay."""
-        return self.offset_ns + self.tick_ns * ticks
-
 
 class ClockFit:
     """Fits a device's clock to the host's, online and in bounded memory.

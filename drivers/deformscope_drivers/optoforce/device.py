@@ -54,7 +54,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
     sent again; a lost zero point is subtracted here from then on.
     transport, clock: used instead of the configuration's port and the host's clock (in a simulated laboratory)"""
 
-    _settings: DaqSettings
+    settings: DaqSettings
     _zero_in_doubt: bool
     _unwrap: Unwrap | None
 
@@ -82,11 +82,6 @@ class Optoforce(StreamDevice[ForceMeasurement]):
     # What a user calls -----------------------------------------------------------------------------------------------
 
     @property
-    def settings(self) -> DaqSettings:
-        """The settings last sent to the DAQ."""
-        return self._settings
-
-    @property
     def kind(self) -> protocol.Kind | None:
         """Type of the sensors at the DAQ; None before the first reading."""
         return self._measurer.kind
@@ -99,12 +94,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
     def set_speed(self, rate_hz: float) -> None:
         """Have it send at another rate, as `OptoforceConfig.rate_hz`; 0 = stop. Raises CommandRefused."""
         speed = speed_of(rate_hz)
-        self._do(lambda: self._change(replace(self._settings, speed=speed)), 10.0)
-
-    def set_filter(self, filter_hz: float) -> None:
-        """Change the filter, as `OptoforceConfig.filter_hz`; 0 = no filter. Raises CommandRefused."""
-        filter_ = filter_of(filter_hz)
-        self._do(lambda: self._change(replace(self._settings, filter=filter_)), 10.0)
+        self._do(lambda: self._change(replace(self.settings, speed=speed)), 10.0)
 
     def zero(self, *, still_counts: float = STILL_COUNTS) -> FloatArray:
         """Take the present load for zero; returns the counts that it was, (channels, axes).
@@ -112,15 +102,6 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         still_counts: how much the readings may vary meanwhile. Raises SettingsRefused when they vary more, when the
         sensor is not usable or overloaded, and when they are not near zero afterwards. Takes about a second."""
         return self._do(lambda: self._zero(still_counts), 60.0)
-
-    def unzero(self) -> None:
-        """Take back `zero`: readings come as the sensor was made."""
-
-        def clear() -> None:
-            self._measurer.offset = None
-            self._send_settings(replace(self._settings, zeroed=False))
-
-        self._do(clear, 10.0)
 
     def identity(self) -> Identity:
         """The sensors of the DAQ, and its serial number if it was requested."""
@@ -143,14 +124,14 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         if self.config.serial and (came := self._ask_serial()) != self.config.serial:
             advice = "another port, or this sensor's own sensitivity report"
             raise SettingsRefused(f"serial number {self.config.serial}", came, advice, self.name)
-        self._change(self._settings)
+        self._change(self.settings)
         if self.config.zero_at_start and self._measurer.offset is None:
             self._zero(STILL_COUNTS)
 
     def _receive(self, timeout_s: float) -> Iterable[ForceMeasurement]:
         if self._restart:
             reason, self._restart = self._restart, ""
-            self._send_settings(replace(self._settings, zeroed=False))
+            self._send_settings(replace(self.settings, zeroed=False))
             self._report_link(Link.CONNECTED, f"{reason}; its settings were sent again")
         return super()._receive(timeout_s)
 
@@ -165,10 +146,10 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         step, unfit = self._measurer.track.step, (CounterStep.JUMPED, CounterStep.LATE, CounterStep.REPEATED)
         if step is not None and gap.verdict not in unfit:
             if self._unwrap is None or self._clock_fit is None or gap.verdict is CounterStep.RESTARTED:
-                tick_ns = self._settings.speed * 1e6 / step
+                tick_ns = self.settings.speed * 1e6 / step
                 self._unwrap, self._clock_fit = Unwrap(WRAP, tick_ns), ClockFit(tick_ns)
             self._clock_fit.add(self._unwrap(event.counter, host_ns), host_ns)
-        zeroed, in_doubt = self._settings.zeroed, self._zero_in_doubt
+        zeroed, in_doubt = self.settings.zeroed, self._zero_in_doubt
         return [self._measurer.measure(event, host_ns, gap, zeroed=zeroed, zero_in_doubt=in_doubt)]
 
     def _fingerprint(self, reading: ForceMeasurement) -> Hashable:
@@ -190,7 +171,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
     # Within: all in the device's thread ------------------------------------------------------------------------------
 
     def _begin_session(self) -> None:
-        self._settings = DaqSettings(speed_of(self.config.rate_hz), filter_of(self.config.filter_hz))
+        self.settings = DaqSettings(speed_of(self.config.rate_hz), filter_of(self.config.filter_hz))
         self._measurer = ForceMeasurer(self.config.sensitivities, self.name)
         self.acknowledges: bool | None = None  # whether the DAQ answered the last settings
         self._serial = ""
@@ -212,7 +193,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
     def _send_settings(self, wanted: DaqSettings) -> None:
         zero = protocol.Zero.SET if wanted.zeroed else protocol.Zero.CLEAR
         command = protocol.Configure(wanted.speed, wanted.filter, zero)
-        self._zero_in_doubt |= wanted.zeroed != self._settings.zeroed
+        self._zero_in_doubt |= wanted.zeroed != self.settings.zeroed
         self._forget_counter(wanted.speed)
         try:
             reply = self._ask(
@@ -229,7 +210,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
             self._zero_in_doubt = False
             if reply.result != 0:
                 raise CommandRefused(reply.result, "settings refused", f"setting {wanted}", where=self.name)
-        self._settings = wanted
+        self.settings = wanted
         self._zero_in_doubt = False
         self._forget_counter(wanted.speed)
         self._expect(wanted.speed.rate_hz or None)
@@ -240,13 +221,13 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         """A DAQ that was switched off and on sends at its defaults, and has forgotten its zero point."""
         if gap.verdict is CounterStep.RESTARTED:
             self._restart = "the DAQ restarted"
-            self._settings = replace(self._settings, zeroed=False)
+            self.settings = replace(self.settings, zeroed=False)
         elif gap.verdict is CounterStep.LOST:
-            period_ns = self._settings.speed * 1e6
+            period_ns = self.settings.speed * 1e6
             pause_ns = max(host_ns - self._before_ns, gap.lost * period_ns)
             if pause_ns >= max(RESTART_S * 1e9, SILENCE_READINGS * period_ns):
                 self._restart = f"nothing for {pause_ns / 1e9:.3g} s: the DAQ may have restarted"
-                self._zero_in_doubt |= self._settings.zeroed
+                self._zero_in_doubt |= self.settings.zeroed
 
     def _forget_counter(self, speed: protocol.Speed) -> None:
         self._measurer.track.restart(speed * 1e6 if speed else None)
@@ -264,23 +245,23 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         return reply.serial
 
     def _zero(self, still_counts: float) -> FloatArray:
-        rate_hz = self._settings.speed.rate_hz
+        rate_hz = self.settings.speed.rate_hz
         if not rate_hz:
             raise SettingsRefused("a DAQ that sends", "one that is stopped", "set_speed(1000)", self.name)
         count = max(STILL_READINGS, math.ceil(STILL_S * rate_hz))
-        cutoff_hz = self._settings.filter.cutoff_hz
+        cutoff_hz = self.settings.filter.cutoff_hz
         settling_s = 0.0 if cutoff_hz is None else SETTLED / (2.0 * math.pi * cutoff_hz)
         settle = math.ceil((ZERO_REST_S + settling_s) * rate_hz)
         self._still_mean(count, still_counts, "the zero point is unchanged")
         self._measurer.offset = None
-        self._send_settings(replace(self._settings, zeroed=False))
+        self._send_settings(replace(self.settings, zeroed=False))
         self._gather(settle)
         before = self._still_mean(count, still_counts, "the zero point is cleared")
-        self._send_settings(replace(self._settings, zeroed=True))
+        self._send_settings(replace(self.settings, zeroed=True))
         self._gather(settle)
         after = self._still_mean(count, still_counts, "the zero point is set, perhaps wrongly")
         if np.abs(after).max() > still_counts:
-            self._send_settings(replace(self._settings, zeroed=False))
+            self._send_settings(replace(self.settings, zeroed=False))
             expected = f"readings within {still_counts:g} counts of zero"
             came = f"{np.array2string(after, precision=0)}; the zero point is cleared again"
             raise SettingsRefused(expected, came, "zero() once more", self.name)
@@ -309,7 +290,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
     def _gather(self, count: int) -> list[ForceMeasurement]:
         """The next readings, a given number, which are published as well."""
         found: list[ForceMeasurement] = []
-        wait_s = max(SILENCE_S, SILENCE_READINGS * self._settings.speed * 1e-3) + 2e-3 * count * self._settings.speed
+        wait_s = max(SILENCE_S, SILENCE_READINGS * self.settings.speed * 1e-3) + 2e-3 * count * self.settings.speed
         until_ns = self._clock() + round(wait_s * 1e9)
         while len(found) < count and not self._closing.is_set() and self._clock() < until_ns:
             for event, host_ns in self._listen(ROUND_S):

@@ -108,30 +108,20 @@ class OptoforceDouble:
         self.power_up(0)
 
     @property
-    def speed(self) -> protocol.Speed:
-        """The period of its readings, as last set."""
-        return self._settings.speed
-
-    @property
-    def filter(self) -> protocol.Filter:
-        """The low-pass filter that is set."""
-        return self._settings.filter
-
-    @property
     def zeroed(self) -> bool:
         """The zero point is set, and not as it came from the factory."""
-        return self._settings.cleared_ns is None
+        return self.settings.cleared_ns is None
 
     def power_up(self, now_ns: int) -> None:
         """Start as after switching on: defaults, zero point cleared, counter at 0."""
         shape = (self.sensors.kind.channels, self.sensors.kind.axes)
-        self._settings = _VolatileSettings(cleared_ns=now_ns - ZERO_REST_NS)
+        self.settings = _VolatileSettings(cleared_ns=now_ns - ZERO_REST_NS)
         self._commands = protocol.CommandDecoder()
         self._line.clear()
         self._random = np.random.default_rng(self.sensors.seed)
         self._started_ns = now_ns
         self._sample = 0  # the next one to be taken
-        self._next_sent = int(self._settings.speed)
+        self._next_sent = int(self.settings.speed)
         self._sent = 0
         self._filtered: FloatArray | None = None
         self._zero = np.zeros(shape)
@@ -154,7 +144,7 @@ class OptoforceDouble:
     def next_ns(self, now_ns: int) -> int | None:
         """When `due` next has bytes, without any from the host."""
         self._run_until(now_ns)
-        times = [self._line.next_ns(), self._time_ns(self._next_sent) if self._settings.speed else None]
+        times = [self._line.next_ns(), self._time_ns(self._next_sent) if self.settings.speed else None]
         return min((time for time in times if time is not None), default=None)
 
     def _configure(self, asked: protocol.Configure, now_ns: int) -> None:
@@ -163,7 +153,7 @@ class OptoforceDouble:
         except ValueError:
             self._acknowledge(1, now_ns)
             return
-        settings = self._settings
+        settings = self.settings
         if speed is not settings.speed:
             settings.speed = speed
             self._next_sent = self._sample_at(now_ns) + int(speed)
@@ -172,7 +162,7 @@ class OptoforceDouble:
         self._acknowledge(0, now_ns)
 
     def _set_zero(self, zero: protocol.Zero, now_ns: int) -> None:
-        settings = self._settings
+        settings = self.settings
         if zero is protocol.Zero.CLEAR:
             self._zero = np.zeros_like(self._zero)
             settings.cleared_ns = now_ns if settings.cleared_ns is None else settings.cleared_ns
@@ -186,7 +176,7 @@ class OptoforceDouble:
             self._line.send(protocol.encode(protocol.ConfigReply(result)), now_ns)
 
     def _run_until(self, now_ns: int) -> None:
-        speed = self._settings.speed
+        speed = self.settings.speed
         while speed and (sent_ns := self._time_ns(self._next_sent)) <= now_ns:
             self._take_samples(self._next_sent)
             if not self.silent:
@@ -210,7 +200,7 @@ class OptoforceDouble:
 
     def _take_samples(self, last: int) -> None:
         """Take and filter the samples up to the one of number `last`."""
-        cutoff_hz = self._settings.filter.cutoff_hz
+        cutoff_hz = self.settings.filter.cutoff_hz
         weight = 1.0 if cutoff_hz is None else 1.0 - math.exp(-2.0 * math.pi * cutoff_hz * SAMPLE_NS * 1e-9)
         memory = 1 if cutoff_hz is None else math.ceil(FILTER_MEMORY / weight)
         for sample in range(max(self._sample, last - memory + 1), last + 1):

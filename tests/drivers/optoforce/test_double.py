@@ -43,7 +43,7 @@ def readings(events: list) -> list[Reading]:
 def test_it_starts_at_its_defaults() -> None:
     double = OptoforceDouble()
     double.power_up(5 * SECOND)
-    assert (double.speed, double.filter, double.zeroed) == (Speed.HZ_100, Filter.HZ_15, False)
+    assert (double.settings.speed, double.settings.filter, double.zeroed) == (Speed.HZ_100, Filter.HZ_15, False)
     assert [reading.counter for reading in readings(heard(double, 6 * SECOND))] == list(range(100))
 
 
@@ -147,7 +147,7 @@ def test_it_acknowledges_or_not_and_refuses_settings_that_it_does_not_have() -> 
     double = OptoforceDouble(Sensors(acknowledges=False))
     configured(double, 0, 0)
     assert heard(double, 0) == []
-    assert double.speed is Speed.STOP
+    assert double.settings.speed is Speed.STOP
 
 
 def test_commands_in_pieces_padded_and_among_junk() -> None:
@@ -156,7 +156,7 @@ def test_commands_in_pieces_padded_and_among_junk() -> None:
     for at in range(len(stream)):
         double.receive(stream[at : at + 1], 0)
     assert heard(double, 0) == [ConfigReply(0)] * 2
-    assert (double.speed, double.filter) == (Speed.HZ_1000, Filter.HZ_150)
+    assert (double.settings.speed, double.settings.filter) == (Speed.HZ_1000, Filter.HZ_150)
 
 
 def test_overload_is_reported_and_the_signal_ends() -> None:
@@ -199,7 +199,7 @@ def test_what_is_not_kept_is_gone_after_switching_off() -> None:
     configured(double, 0, 1, zero=Zero.SET)
     double.due(500 * MS)
     double.power_up(SECOND)
-    assert (double.speed, double.filter, double.zeroed) == (Speed.HZ_100, Filter.HZ_15, False)
+    assert (double.settings.speed, double.settings.filter, double.zeroed) == (Speed.HZ_100, Filter.HZ_15, False)
     events = heard(double, 2 * SECOND)
     assert events[0].counter == 0
     assert not any(isinstance(event, Skipped) for event in events)
