@@ -20,7 +20,7 @@ from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.jaco import Jaco, JacoConfig, JacoDouble
 from deformscope_drivers.jaco.chains import CHAINS as JACO
 from deformscope_drivers.kuka import Kuka, KukaConfig, KukaDouble, UdpWire, open_kuka
-from deformscope_drivers.kuka.chains import CHAINS as KUKA
+from deformscope_drivers.kuka.config import CHAINS as KUKA
 from deformscope_drivers.kuka.port import free_port
 from deformscope_drivers.manual_arm import ManualArm, ManualArmConfig, StandDouble
 from deformscope_drivers.memory import MemoryTransport, SimulatedClock

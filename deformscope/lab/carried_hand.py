@@ -38,7 +38,7 @@ from deformscope_drivers.dsa.pads import Pad, Part
 from deformscope_drivers.jaco import Jaco, JacoConfig, JacoDouble
 from deformscope_drivers.jaco.chains import J2N6S300
 from deformscope_drivers.kuka import Kuka, KukaConfig, KukaDouble
-from deformscope_drivers.kuka.chains import CHAINS as KUKA
+from deformscope_drivers.kuka.config import CHAINS as KUKA
 from deformscope_drivers.memory import MemoryTransport
 from deformscope_drivers.sdh.double import Port
 

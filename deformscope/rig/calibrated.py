@@ -7,7 +7,7 @@ import datetime
 from collections.abc import Collection
 from dataclasses import dataclass
 
-from deformscope.rig.checks import check
+from deformscope.rig.sections import check
 
 DAYS = {"arm": 365, "place": 30, "tip": 180, "camera": 90, "force": 180, "time": 365}
 """Days after which each calibration is repeated: a table is moved sooner than a stick is bent. Chosen."""

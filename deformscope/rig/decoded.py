@@ -19,7 +19,7 @@ from deformscope.rig.rig_file import Rig
 from deformscope_drivers.device import RAW_DROPPED
 from deformscope_drivers.dsa.measurer import TactileMeasurer, TactileReading
 from deformscope_drivers.dsa.messages import Id, MatrixInfo
-from deformscope_drivers.dsa.pressure import to_pressure
+from deformscope_drivers.dsa.pads import to_pressure
 from deformscope_drivers.errors import ProtocolViolation
 from deformscope_drivers.framing import FrameDecoder, Skipped
 from deformscope_drivers.health import Health, Link

@@ -21,8 +21,8 @@ from deformscope.frames import (
 )
 from deformscope.rig.driver_table import Driver
 from deformscope_drivers.device import Device
-from deformscope_drivers.dsa.pressure import to_pressure
-from deformscope_drivers.dsa.texels import TEXEL_MAX
+from deformscope_drivers.dsa.messages import TEXEL_MAX
+from deformscope_drivers.dsa.pads import to_pressure
 from deformscope_drivers.optoforce.protocol import Kind as Sensors
 
 if TYPE_CHECKING:

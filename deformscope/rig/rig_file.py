@@ -20,9 +20,16 @@ from typing import Any, Literal
 from deformscope.errors import InputError
 from deformscope.file_io import SAMPLE_SCHEME, nearest, resolve, sample_names
 from deformscope.rig.calibrated import CalibratedSection
-from deformscope.rig.checks import check, check_orthogonal, check_transform
 from deformscope.rig.driver_table import DRIVERS, Driver
-from deformscope.rig.sections import ContainerSection, HandSection, ShapeSection, SqueezeSection
+from deformscope.rig.sections import (
+    ContainerSection,
+    HandSection,
+    ShapeSection,
+    SqueezeSection,
+    check,
+    check_orthogonal,
+    check_transform,
+)
 from deformscope_drivers.device import Device
 from deformscope_drivers.errors import DeviceError
 
@@ -429,7 +436,7 @@ def _line(error: Exception) -> str:
     return " ".join(str(error).split()) or type(error).__name__
 
 
-# Vendors' libraries -------------------------------------------------------------------------------------------------
+# Vendors' libraries: a loaded one runs with the user's rights, and rig files come from anywhere -----------------------
 
 SYSTEM_FOLDERS = tuple(
     map(Path, ("/lib", "/lib32", "/lib64", "/usr/lib", "/usr/lib32", "/usr/lib64", "/usr/local/lib", "/opt"))

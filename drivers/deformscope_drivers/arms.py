@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from deformscope_drivers.arm.kinematics import Chain
 from deformscope_drivers.jaco.chains import CHAINS as JACO
-from deformscope_drivers.kuka.chains import CHAINS as KUKA
+from deformscope_drivers.kuka.config import CHAINS as KUKA
 from deformscope_drivers.manual_arm.device import MANUAL
 
 CHAINS: dict[str, Chain] = {**JACO, **KUKA}

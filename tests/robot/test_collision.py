@@ -11,7 +11,7 @@ from deformscope.robot.robot import RobotStopped
 from deformscope.robot.supervisor import Fault, Limits, Supervisor
 from deformscope_drivers.arm.kinematics import FloatArray, jacobian_of
 from deformscope_drivers.jaco.chains import J2N6S300
-from deformscope_drivers.kuka.chains import KR6R900
+from deformscope_drivers.kuka.config import KR6R900
 from deformscope_drivers.kuka.double import COULOMB_NM, UNIT_NM, motor_currents
 from tests.cases import slow
 from tests.robot.quick_touch import quick_scene

@@ -11,7 +11,7 @@ import pytest
 from deformscope.lab.faults import Injected
 from deformscope_drivers.jaco import JacoDouble
 from deformscope_drivers.jaco.structures import AngularInfo, PositionType, TrajectoryPoint
-from deformscope_drivers.kuka.chains import CHAINS
+from deformscope_drivers.kuka.config import CHAINS
 from deformscope_drivers.memory import SimulatedClock
 from studies import layouts
 from studies.__main__ import main

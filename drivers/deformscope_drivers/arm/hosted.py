@@ -2,7 +2,8 @@
 
 The other process opens the arm and carries out velocities until they expire there, on the clock that both share. When
 this process is suspended, no velocity is renewed and it expires. When this process ends, the socket between them
-closes, and the other process halts the arm, releases it and ends too."""
+closes, and the other process halts the arm, releases it and ends too. A long call runs in a thread there, so that a
+halt and the end of the program come first."""
 
 from __future__ import annotations
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TypeVar
 
-from deformscope_drivers.dsa.pressure import SCHUNK_PA_PER_COUNT, Curve
-from deformscope_drivers.dsa.texels import TEXEL_MAX
+from deformscope_drivers.dsa.messages import TEXEL_MAX
+from deformscope_drivers.dsa.pads import SCHUNK_PA_PER_COUNT, Curve
 from deformscope_drivers.errors import OutOfLimits
 from deformscope_drivers.transport import check_port
 

@@ -18,8 +18,7 @@ from deformscope_drivers.device import RECONNECT, Reconnect, StreamDevice
 from deformscope_drivers.dsa import messages
 from deformscope_drivers.dsa.config import DsaConfig
 from deformscope_drivers.dsa.measurer import TactileMeasurer, TactileReading, TimestampStatus
-from deformscope_drivers.dsa.pads import Pad
-from deformscope_drivers.dsa.pressure import FloatArray, PadContact, pad_contact, to_pressure
+from deformscope_drivers.dsa.pads import FloatArray, Pad, PadContact, pad_contact, to_pressure
 from deformscope_drivers.dsa.protocol import Decoder, encode, single, stop, stream
 from deformscope_drivers.errors import (
     CommandRefused,

@@ -12,10 +12,10 @@ import numpy as np
 
 from deformscope_drivers.doubles import Line
 from deformscope_drivers.dsa import messages
-from deformscope_drivers.dsa.pressure import SCHUNK_PA_PER_COUNT
+from deformscope_drivers.dsa.messages import TEXEL_MAX
+from deformscope_drivers.dsa.pads import SCHUNK_PA_PER_COUNT
 from deformscope_drivers.dsa.protocol import CommandDecoder, Faulty, encode
 from deformscope_drivers.dsa.scene import GraspScene, Scene, sdh_matrices
-from deformscope_drivers.dsa.texels import TEXEL_MAX
 from deformscope_drivers.framing import Skipped
 
 SERIAL_BYTES_PER_S = 11_520

@@ -16,7 +16,7 @@ from abc import abstractmethod
 from dataclasses import dataclass
 
 from deformscope_drivers.dsa import messages
-from deformscope_drivers.dsa.texels import decode_raw, decode_rle, encode_raw, encode_rle
+from deformscope_drivers.dsa.messages import decode_raw, decode_rle, encode_raw, encode_rle
 from deformscope_drivers.framing import EventT, FrameDecoder, GoodFrame, Refused, find_start
 from deformscope_drivers.framing import Skipped as Skipped
 from deformscope_drivers.weiss_crc import crc16

@@ -31,8 +31,7 @@ from deformscope_drivers.errors import (
     SettingsRefused,
 )
 from deformscope_drivers.health import Identity, Link
-from deformscope_drivers.kuka.chains import CHAINS
-from deformscope_drivers.kuka.config import KukaConfig
+from deformscope_drivers.kuka.config import CHAINS, KukaConfig
 from deformscope_drivers.kuka.messages import AXES, RobMessage, SenMessage, decode_rob, encode_sen
 from deformscope_drivers.kuka.port import UdpPort
 from deformscope_drivers.transport import Transport

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from deformscope_drivers.arm.kinematics import Chain, FloatArray, cross, euler_xyz_from_rotation, jacobian_of
 from deformscope_drivers.errors import ProtocolViolation
-from deformscope_drivers.kuka.chains import CHAINS
+from deformscope_drivers.kuka.config import CHAINS
 from deformscope_drivers.kuka.messages import RobMessage, decode_sen, encode_rob
 
 UNIT_NM = np.array([2.0, 2.0, 1.5, 0.5, 0.5, 0.3])

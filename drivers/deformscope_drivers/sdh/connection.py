@@ -18,8 +18,7 @@ from deformscope_drivers.errors import (
 from deformscope_drivers.framing import NOISE, Skipped
 from deformscope_drivers.health import Identity
 from deformscope_drivers.sdh import codes, protocol
-from deformscope_drivers.sdh.config import SdhConfig
-from deformscope_drivers.sdh.limits import ByAxis, Limits
+from deformscope_drivers.sdh.config import ByAxis, Limits, SdhConfig
 from deformscope_drivers.sdh.measurer import HandMeasurer
 from deformscope_drivers.sdh.results import HandIdentity, HandReading
 from deformscope_drivers.transport import Transport

@@ -17,9 +17,8 @@ from deformscope_drivers.device import ROUND_S
 from deformscope_drivers.errors import CommandRefused, DeviceError, LinkLost, OutOfLimits, SettingsRefused, Stale
 from deformscope_drivers.health import Link
 from deformscope_drivers.sdh import codes, protocol
-from deformscope_drivers.sdh.config import SdhConfig
+from deformscope_drivers.sdh.config import ByAxis, SdhConfig, within
 from deformscope_drivers.sdh.connection import SdhConnection
-from deformscope_drivers.sdh.limits import ByAxis, within
 from deformscope_drivers.sdh.results import HandReading, MoveResult, Outcome, StopReport
 from deformscope_drivers.transport import Transport
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from deformscope_drivers.clock import Stamp
 from deformscope_drivers.sdh.codes import AxisState
-from deformscope_drivers.sdh.limits import Limits
+from deformscope_drivers.sdh.config import Limits
 
 FloatArray = NDArray[np.float64]
 

@@ -11,8 +11,7 @@ from deformscope_drivers.device import Reconnect
 from deformscope_drivers.dsa import Dsa, DsaConfig, DsaDouble
 from deformscope_drivers.dsa.double import BOOT_S
 from deformscope_drivers.dsa.messages import Ack, ConfigureAcquisition, Reading, SetSensitivity
-from deformscope_drivers.dsa.pads import thesis_feature
-from deformscope_drivers.dsa.pressure import Curve
+from deformscope_drivers.dsa.pads import Curve, thesis_feature
 from deformscope_drivers.dsa.protocol import CommandDecoder, encode, stop, stream
 from deformscope_drivers.errors import (
     CommandRefused,

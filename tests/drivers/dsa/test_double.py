@@ -18,8 +18,7 @@ from deformscope_drivers.dsa.messages import (
     SetThreshold,
     ThresholdInfo,
 )
-from deformscope_drivers.dsa.pads import Pad, Part
-from deformscope_drivers.dsa.pressure import SCHUNK_PA_PER_COUNT
+from deformscope_drivers.dsa.pads import SCHUNK_PA_PER_COUNT, Pad, Part
 from deformscope_drivers.dsa.protocol import SDH_CELLS, Decoder, encode, single, stop, stream
 from deformscope_drivers.dsa.scene import GraspScene
 from tests.drivers.dsa.packets import ACK, checked, hexed

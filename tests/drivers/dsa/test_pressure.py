@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from deformscope_drivers.dsa.messages import MatrixInfo
-from deformscope_drivers.dsa.pads import Pad, Part, thesis_feature
-from deformscope_drivers.dsa.pressure import CONTACT_COUNTS, Curve, pad_contact, to_pressure
+from deformscope_drivers.dsa.pads import CONTACT_COUNTS, Curve, Pad, Part, pad_contact, thesis_feature, to_pressure
 
 ZERO = (0.0, 0.0, 0.0)
 MATRIX = MatrixInfo(0, 3.0, 4.0, 6, 13, bytes(6), bytes(2), 1, ZERO, ZERO, 0.0, 0)

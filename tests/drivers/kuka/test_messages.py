@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from deformscope_drivers.arm.kinematics import Chain, FloatArray
 from deformscope_drivers.errors import ProtocolViolation
 from deformscope_drivers.kuka import Kuka, KukaConfig
-from deformscope_drivers.kuka.chains import CHAINS
+from deformscope_drivers.kuka.config import CHAINS
 from deformscope_drivers.kuka.messages import RobMessage, SenMessage, decode_rob, decode_sen, encode_rob, encode_sen
 from tools.arm_shapes import urdf_of
 
