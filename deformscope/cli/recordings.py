@@ -1,4 +1,4 @@
-"""`deformscope verify`, `recover`, `discard`, `replay`, `report` and `export`: what is done with a recording."""
+"""`deformscope record`, `live`, `verify`, `recover`, `discard`, `replay`, `report` and `export`: recordings of a rig."""
 
 from __future__ import annotations
 

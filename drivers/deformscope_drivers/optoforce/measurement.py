@@ -26,7 +26,8 @@ SENSOR_NUMBERS = 4
 
 
 def doubts(reading: Reading, nominal_counts: Sequence[Sequence[float]] | None) -> tuple[str, ...]:
-    """Why a reading is unreliable; empty without a reason. nominal_counts: (channels, axes), what each axis reads at
+    """Why a reading with a right checksum, which misses many double errors, is unreliable; empty without a reason.
+    nominal_counts: (channels, axes), what each axis reads at
     its nominal load, from the sensor's sensitivity report; None = not known, and then no load is too large"""
     found = []
     if not _status_is_defined(reading):
