@@ -1,4 +1,4 @@
-"""`deformscope record`, `live`, `verify`, `recover`, `discard`, `replay`, `report` and `export`: recordings of a rig."""
+"""`deformscope record`, `live`, `verify`, `recover`, `discard`, `replay`, `report` and `export`."""
 
 from __future__ import annotations
 

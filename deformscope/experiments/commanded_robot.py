@@ -12,7 +12,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 from deformscope.session import Inline, Step
-from deformscope_drivers.priority import STEERING, be_prompt
+from deformscope_drivers.pacing import STEERING, be_prompt
 
 IDLE_S = 0.02
 """Period at which a robot that does not rest in control periods checks for a command."""

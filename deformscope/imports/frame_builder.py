@@ -25,7 +25,7 @@ from deformscope.imports.poses import QUATERNIONS, Pose, check_rotation, pose_fr
 from deformscope.imports.readers import TABLE_TYPES, Message, Topic
 from deformscope.recording.streams import UNITS, columns_of, split_unit
 from deformscope_drivers.clock import Stamp
-from deformscope_drivers.dsa.pressure import SCHUNK_PA_PER_COUNT
+from deformscope_drivers.dsa.pads import SCHUNK_PA_PER_COUNT
 
 KINDS: dict[Kind, type] = {
     "wrench": WrenchFrame,
