@@ -39,7 +39,7 @@ more than the one before, so that exchanged or reversed joints displace some lin
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DescribedPart:
-    """A rigid part. frame: of the arm, with which it moves, as above; solid: its triangles in that frame [m]"""
+    """A rigid part. frame: the arm's frame with which it moves, as above; solid: its triangles in that frame [m]"""
 
     frame: int
     solid: Solid

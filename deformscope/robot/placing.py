@@ -56,7 +56,7 @@ def _counted(refused: Sequence[str]) -> list[str]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacingSetup:
-    """The arm that places a hand. chain: its joints; placement: of arm, table and hand; workspace: its limits"""
+    """The arm that places a hand. chain: its joints; placement: arm, table and hand; workspace: its limits"""
 
     chain: Chain
     placement: Placement

@@ -50,7 +50,7 @@ class Health:
     lost_by_time: how many of the lost ones are estimated from the device's rate and the time of a lost link or of
     silence, where its counter does not show them; silent_s: how long that was [s]
     jitter_s: standard deviation of the time from one reading to the next, lately, as the host stamps them [s]
-    alarms: of its readings, each as text that begins with `stuck` or `saturated`; set where they are checked"""
+    alarms: its readings', each as text that begins with `stuck` or `saturated`; set where they are checked"""
 
     link: Link
     reason: str = ""

@@ -156,7 +156,7 @@ class Channel:
 
 
 def hosted_command(descriptor: str) -> list[str]:
-    """Command with this interpreter, without modules of the working folder (-P). descriptor: of the process's socket"""
+    """Command with this interpreter, without modules of the working folder (-P). descriptor: the process's socket"""
     return [sys.executable, "-S", "-P", "-m", "deformscope_drivers.hosted", descriptor]
 
 

@@ -82,7 +82,7 @@ class TactileMeasurer:
     """For each link: `connect`, `describe` when the controller has reported its matrices, `begin_stream` whenever
     frames are requested.
 
-    clock_fit: the controller's clock against the host's; repeated: frames sent twice; restarts: of its clock"""
+    clock_fit: the controller's clock against the host's; repeated: frames sent twice; restarts: its clock's"""
 
     def __init__(self) -> None:
         self.repeated = self.restarts = 0

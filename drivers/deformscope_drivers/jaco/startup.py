@@ -49,7 +49,7 @@ _MODELS = {
 class JacoIdentity:
     """The arm that was opened, and its library and connection.
 
-    library_version: of the vendor's library; firmware: version in the device list; chain: its kinematics"""
+    library_version: the vendor's library's; firmware: version in the device list; chain: its kinematics"""
 
     serial: str
     model: str

@@ -23,7 +23,7 @@ class Reading:
 
     quantity: `pos`, `tpap` [deg]; `vel`, `rvel`, `tvav` [deg/s]; `state` (AxisState); `temp` [deg C]. `tpap`, `tvav`:
     actual angles and velocities in answer to a target; `rvel` is the reference velocity; values: 7 values, by axis; 9
-    temperatures: of the 7 motors, the FPGA and the board; 1 value if one axis was requested; axis: None = all"""
+    temperatures (7 motors, the FPGA, the board); 1 value if one axis was requested; axis: None = all"""
 
     quantity: str
     values: tuple[float, ...]
