@@ -6,7 +6,7 @@ deformscope import bag.mcap --map map.toml --record run.rrd
 
 from __future__ import annotations
 
-from deformscope.cli.common import EXIT_LOSSES, say, show, write_json
+from deformscope.cli.common import EXIT_LOSSES, say, show, write_file, write_json
 from deformscope.config import ImportConfig
 from deformscope.recording.losses import named
 from deformscope.runs.importing import import_source, import_take, inspect_source
@@ -18,7 +18,10 @@ def run(config: ImportConfig) -> int:
         found = inspect_source(config)
         if config.output.json != "-":
             print(found.toml, end="")
-        write_json({"source": config.source, "topics": found.topics, "map": found.toml}, config.output.json)
+        if config.picture is not None:
+            write_file(config.picture, found.picture())
+        told = {"source": config.source, "topics": found.topics, "map": found.toml}
+        write_json(told | {"streams": [one.as_json() for one in found.values]}, config.output.json)
         return 0
     result = import_source(config) if config.pairs is None else import_take(config, config.pairs)
     show(result)

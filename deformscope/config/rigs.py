@@ -244,7 +244,10 @@ class ImportConfig(RecordedOptions):
     map: Annotated[Path | None, flags.one_word("FILE.toml", Path), flags.unset, flags.Reads()] = None
     """The map."""
     inspect: bool = False
-    """List topics with types, rates, gaps and clocks, and a map, as TOML; import nothing."""
+    """List topics with types, rates, gaps and clocks, and a map, as TOML; import nothing. Of each stream of the map
+    (--map, or the proposed one): rate, share of valid values, smallest, median and largest, in SI units."""
+    picture: flags.PictureFlag = None
+    """With --inspect: draw the streams."""
     pairs: Annotated[Path | None, flags.one_word("FOLDER", Path), flags.unset] = None
     """For a folder of meshes with forces (PokeFlex): write pair files and a motion file, into a new folder."""
     unseen: Annotated[int, flags.least(2)] = 4
@@ -266,6 +269,8 @@ class ImportConfig(RecordedOptions):
         if sum(asked) != 1:
             came = "several" if any(asked) else "neither"
             raise InputError("--record FILE.rrd with --map FILE.toml, --inspect, or --pairs FOLDER", came)
+        if self.picture is not None and not self.inspect:
+            raise InputError("--picture with --inspect", "--picture alone")
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,12 +22,15 @@ from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.file_io import read_file
 from deformscope.files.arrays_file import read_arrays
+from deformscope.files.delimited import form_of, open_table
 from deformscope.stages.squeeze.table import LISTED, LabelledTable, TextArray
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-SUFFIXES = (".npz", ".csv", ".parquet")
+TEXTS = (".csv", ".tsv", ".txt", ".dat")
+"""Endings of tables in text."""
+SUFFIXES = (".npz", *TEXTS, ".parquet")
 HOW = "columns label, group and MODALITY.0, MODALITY.1..., as sample:table has them"
 ABOUT = ("label", "group", "kind", "trial")
 """Columns about a trial; every other one is a feature."""
@@ -45,7 +48,7 @@ def read_table(path: Path) -> LabelledTable:
     try:
         if path.suffix.lower() == ".npz":
             return table_of_arrays(read_arrays(raw, "a table (.npz of arrays)"))
-        return table_of_columns(_csv(raw) if path.suffix.lower() == ".csv" else _parquet(raw))
+        return table_of_columns(_csv(raw) if path.suffix.lower() in TEXTS else _parquet(raw))
     except InputError as error:
         raise type(error).about(error, path) from error
 
@@ -160,15 +163,16 @@ def _texts(values: npt.NDArray[Any], name: str) -> TextArray:
 
 def _csv(raw: bytes) -> pa.Table:
     import pyarrow as pa
-    from pyarrow import csv
 
+    form = form_of(io.BytesIO(raw))
+    if form.cut:
+        raise InputError("a table with a whole last line", repr(form.cut[:60]), "the table without that line")
+    if twice := sorted({name.rpartition("#")[0] for name in form.names if "#" in name} - {""}):
+        raise InputError("each column once", f"{', '.join(twice)} several times", HOW)
     try:
-        names = csv.open_csv(io.BytesIO(raw)).schema.names
-        texts = {name: pa.string() for name in names if name in ABOUT}
-        return csv.read_csv(
-            io.BytesIO(raw),
-            convert_options=csv.ConvertOptions(column_types=texts, null_values=["", "NaN", "nan", "NA"]),
-        )
+        types = dict.fromkeys(form.numbers, pa.float64()) | dict.fromkeys({*ABOUT} & {*form.names}, pa.string())
+        with open_table(io.BytesIO(raw), form, types, ["", "NaN", "nan", "NA"]) as rows:
+            return rows.read_all()
     except pa.ArrowException as error:
         raise InputError("a CSV table with a header", " ".join(str(error).split())[:200], HOW) from error
 

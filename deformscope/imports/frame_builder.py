@@ -22,7 +22,7 @@ from deformscope.imports.image_messages import cloud_depth, compressed_depth, de
 from deformscope.imports.import_map import ASKED, MappedStream
 from deformscope.imports.point_files import read_points
 from deformscope.imports.poses import QUATERNIONS, Pose, check_rotation, pose_from, rotation_from
-from deformscope.imports.readers import TABLE_TYPES, Message, Topic
+from deformscope.imports.readers import TABLE_TYPES, Message, Topic, list_parts
 from deformscope.recording.streams import UNITS, columns_of, split_unit
 from deformscope_drivers.clock import Stamp
 from deformscope_drivers.dsa.pads import SCHUNK_PA_PER_COUNT
@@ -148,8 +148,10 @@ class FrameBuilder:
         self._fields = {name: (field, self._factor(name, field, unit)) for name, (field, unit) in standard.items()}
         is_table = all(one.type in TABLE_TYPES for one in of)
         for name, field in stream.columns.items():
-            if is_table and field not in units:
-                raise stream.missing(f"columns.{name}", f"one of {', '.join(units)}", field)
+            if is_table and field not in units and list_parts(field)[0] not in units:
+                places = [one for one in units if one.startswith(f"{field}#")]
+                which = f"one of {', '.join(places or units)}" + f": {field} stands {len(places)} times" * bool(places)
+                raise stream.missing(f"columns.{name}", which, field)
             self._fields[name] = field, self._factor(name, field, units.get(field) or _vendor(field)[0])
         if stream.kind == "arm":
             self._check_rotation()
@@ -184,7 +186,8 @@ class FrameBuilder:
         for field in known:
             found, (base, unit) = columns_of(field, names), split_unit(field)
             of_axes = (f"{at}_{axis}" for at in range(len(found) // 3) for axis in "xyz")
-            whole = [
+            alone = [[f"force_{axis}_n"] for axis in "xyz"] if field == "force_n" else []  # of a load cell
+            whole = alone + [
                 [f"{base}_{one}{unit and f'_{unit}'}" for one in each] for each in ("xyz", range(len(found)), of_axes)
             ]
             if found not in ([], [field], *whole):
@@ -208,7 +211,7 @@ class FrameBuilder:
         known = ", ".join(name for name, (of, _) in SI.items() if of == SI[wanted][0])
         if not given or given == ASKED:
             raise self.stream.missing(key, f"one of {known}", given)
-        if said and given != said:
+        if said and given != said and (said not in SI or SI.get(given) != SI[said]):
             raise self.stream.missing(key, f"{said}, as the source says", given)
         if given not in SI or SI[given][0] != SI[wanted][0]:
             raise self.stream.missing(key, f"one of {known}", given)
@@ -247,6 +250,8 @@ class FrameBuilder:
                 continue
             if isinstance(value, str) and value.startswith("["):
                 value = json.loads(value)
+            elif isinstance(value, str) and not name.startswith("state"):
+                value = _number(value, field)
             if factor != 1.0 and _is_of_matrices(value):
                 row[name] = tuple(np.asarray(one, np.float64) * factor for one in value)
             else:
@@ -354,12 +359,26 @@ def valid_of(frame: Frame) -> tuple[int, int]:
     return (1, 1) if values is None else (int(np.isfinite(values).sum()), values.size)
 
 
+def _number(text: str, field: str) -> float:
+    try:
+        return float(text.strip().replace("_", "?"))
+    except ValueError:
+        raise ValueError(f"text in {field}, where numbers were expected: {text!r}") from None
+
+
 _columns_of = lru_cache(columns_of)
 """All rows of a stream have the same columns."""
 
 
 def _wrench(self: FrameBuilder, row: Row, at: At) -> Frame | None:
-    force = self.values(row, "force_n").reshape(-1, 3)
+    force = self.values(row, "force_n")
+    if axis := next((one for one in "xyz" if force.size == 1 and f"force_{one}_n" in row), ""):  # a load cell's
+        force = np.where([one == axis for one in "xyz"], force, 0.0)
+    for name in () if self.own else ("force_n", "torque_nm"):
+        if name in row and np.size(row[name]) != 3:
+            about = f'three numbers of one sensor; parts of a list are named: {name.replace("_", "_x_", 1)} = "NAME[0]"'
+            raise self.stream.missing(f"columns.{name}", about, f"{np.size(row[name])} numbers")
+    force = force.reshape(-1, 3)
     torque = self.values(row, "torque_nm", size=force.size).reshape(-1, 3)
     self.check_numbers(row, "force_n", force, at)
     counts = self.values(row, "counts", np.int64, 0)

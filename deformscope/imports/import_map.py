@@ -97,7 +97,7 @@ class ImportMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How foreign data become devices. start_ns: the stamp at which the recording begins [ns]; None = the first;
     skip_rows: lines of CSV tables before their header; rig: sections of a rig file, such as `tool` and `camera`"""
 
-    streams: tuple[MappedStream, ...]
+    streams: tuple[MappedStream, ...] = ()
     start_ns: Annotated[int, msgspec.Meta(ge=-MOST_NS, le=MOST_NS)] | None = None
     skip_rows: int = 0
     rig: dict[str, dict[str, Any]] = {}
@@ -121,8 +121,9 @@ class ImportMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return lines_of(sections | self.rig, digits="")
 
 
-def read_map(path: Path) -> ImportMap:
-    """Read a map. Raises InputError if it is no map, and names the wrong key."""
+def read_map(path: Path, *, is_draft: bool = False) -> ImportMap:
+    """Read a map. is_draft: it may lack streams and values. Raises InputError if it is no map, and names the wrong
+    key."""
     try:
         said = tomllib.loads(read_file(path, "a map (TOML)", HOW).decode())
         if "rig" in said:
@@ -134,13 +135,13 @@ def read_map(path: Path) -> ImportMap:
     names = [stream.device for stream in found.streams]
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise InputError("each device once in the map", f"{twice[0]!r} twice", where=path)
-    if not names:
+    if not names and not is_draft:
         raise InputError("a map with [[streams]]", "none", HOW, path)
     shape = rig.get("shape", {})
     if named := next((one for one in ("urdf", "gripper") if one in shape), ""):
         hint = "the map without it: it may be another's, and names no file of this machine"
         raise InputError(f"[shape] in the map without {named}", repr(shape[named]), hint, path)
     for stream in found.streams:
-        if stream.offset_s == ASKED:
+        if stream.offset_s == ASKED and not is_draft:
             raise stream.missing("offset_s", "seconds to add to its stamps, which are of another clock")
     return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,8 +23,8 @@ from deformscope.imports.readers import TABLE_TYPES, Reader, Topic
 from deformscope.imports.source import CLOCKS_APART_S
 from deformscope.recording.export.manifest import Manifest
 
-TIMES = ("host_ns", "time", "timestamp", "stamp", "t")
-"""Names of columns with times, in lower case, the likeliest first."""
+TIMES = ("host_ns", "time", "timestamp", "stamp", "t", "datetime", "zeit")
+"""Names of columns with times, in lower case and without their units, the likeliest first."""
 
 
 @dataclass(slots=True)
@@ -31,7 +32,8 @@ class Found:
     """A topic, as found in the source. seen: times at which its messages were recorded; stamp_ns: time stamp of the
     first message itself, None = it has none; encoding: encoding of images; frames: frames of transforms, where
     is_tree; is_behind: most points of the first file have negative z
-    joints: names of joints in the first message; unread: why its first message cannot be read"""
+    joints: names of joints in the first message; cells: what fields of a table's first row hold that are no numbers
+    unread: why its first message cannot be read"""
 
     topic: Topic
     seen: Counted = field(default_factory=Counted)
@@ -41,6 +43,7 @@ class Found:
     is_behind: bool = False
     frames: tuple[str, ...] = ()
     joints: tuple[str, ...] = ()
+    cells: dict[str, str] = field(default_factory=dict)
     unread: str = ""
 
     @property
@@ -55,6 +58,10 @@ class Found:
         if isinstance(value, Path) and value.suffix.lower() in CLOUDS:
             z = read_points(value)[..., 2]
             self.is_behind = bool(np.count_nonzero(z < 0) > np.count_nonzero(z > 0))
+        if isinstance(value, Mapping):
+            texts = {name: f"text {one[:20]!r}" for name, one in value.items() if isinstance(one, str)}
+            lists = {name: f"{len(one)} numbers" for name, one in value.items() if isinstance(one, list)}
+            self.cells = {} if self.topic.kind else texts | lists
         self.joints = tuple(value.name) if self.topic.type.endswith("JointState") else ()
         stamp = getattr(getattr(value, "header", None), "stamp", None)
         self.stamp_ns = None if stamp is None else int(stamp.sec) * 10**9 + int(stamp.nanosec)
@@ -65,8 +72,10 @@ class Found:
         clock = "" if self.clock_s is None else f", stamped {self.clock_s:.4g} s before it was recorded"
         frames = f", frames {', '.join(self.frames)}" if self.frames else ""
         joints = f", joints {', '.join(self.joints)}" if self.joints else ""
-        columns = f", columns {', '.join(self.topic.units)}" if self.topic.units else ""
-        told = f"{rate}{clock}{frames}{joints}{columns}{self.unread}"
+        about = {name: self.cells.get(name, "" if self.topic.kind else unit) for name, unit in self.topic.units.items()}
+        columns = ", ".join(f"{name} ({one})" if one and one not in name else name for name, one in about.items())
+        columns = f", columns {columns}" if columns else ""
+        told = f"{self.topic.form}{rate}{clock}{frames}{joints}{columns}{self.unread}"
         return f"{self.topic.name}: {self.topic.type}, {self.seen.count} messages{told}"
 
 
@@ -116,7 +125,10 @@ def propose(reader: Reader, found: list[Found]) -> ImportMap:
         asked: dict[str, Any] = {"device": one.topic.name.rsplit(".", 1)[0].strip("/").replace("/", "_"), "kind": kind}
         if one.topic.type in TABLE_TYPES:
             # only the owner of a foreign table can identify its columns
-            time = next((name for known in TIMES for name in one.topic.units if name.lower() == known), ASKED)
+            bare = {name: re.split(r"\s*[\[(<#]", name)[0].lower() for name in one.topic.units}
+            time = next((name for known in TIMES for name, base in bare.items() if base == known), ASKED)
+            if time == ASKED:
+                time = next((name for name, unit in one.topic.units.items() if unit == "ns"), ASKED)
             unit = "" if time == ASKED else one.topic.units[time] or ("ns" if time.endswith("_ns") else ASKED)
             columns = {f"force_{axis}_n": ASKED for axis in "xyz"}
             asked |= {"columns": columns, "units": {ASKED: ASKED}, "time": time, "time_unit": unit}

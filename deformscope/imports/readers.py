@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
 import json
 import re
 from collections import Counter
@@ -17,20 +16,20 @@ import pyarrow as pa
 
 from deformscope.errors import InputError
 from deformscope.file_io import check_size, nearest_file
+from deformscope.files.delimited import COLUMN_BYTES, TableForm, form_of, moment_ns, open_table, unique_names
 from deformscope.files.sources import natural_key
+from deformscope.files.table_file import TEXTS
 from deformscope.imports.unpacked import bounded, check_chunks
 from deformscope.recording.export.manifest import ExportedStream, Manifest, read_manifest
 from deformscope.recording.utf8_path import utf8_path
 
 BAGS = (".bag", ".mcap", ".db3")
-TABLES = (".csv", ".parquet")
+TABLES = (*TEXTS, ".parquet")
 FILES = (".png", ".tif", ".tiff", ".jpg", ".pcd", ".ply")
 CANDUMP = re.compile(r"\((\d{1,12})\.(\d+)\)\s+(\S+)\s+([0-9A-Fa-f]{1,8})#([0-9A-Fa-f]*)(\s+[RT])?\s*$")
 TABLE_TYPES = ("csv", "parquet")
 BATCH_ROWS = 64
 """Rows that are read together: a column's text, however long, comes once with each."""
-COLUMN_BYTES = 1 << 15
-"""Memory of a table's column, besides its values."""
 RATIO = 100
 """A column's values are larger than its bytes by more only where few bytes stand for many."""
 PACKAGE = "deformscope_msgs/msg/"
@@ -41,13 +40,16 @@ PACKAGE = "deformscope_msgs/msg/"
 class Topic:
     """Content of a source under a name. type: type of its messages, `csv` or `parquet`; count: messages, or None
 
-    units: units of fields, or empty; kind: for an export of deformscope, the class of the rows"""
+    units: units of fields, or empty; kind: for an export of deformscope, the class of the rows; form: how a table is
+    written, in words; cut: its last line, if that was cut off and is left out"""
 
     name: str
     type: str
     count: int | None = None
     units: Mapping[str, str] = field(default_factory=dict)
     kind: str = ""
+    form: str = ""
+    cut: str = ""
 
 
 @dataclass(frozen=True)
@@ -66,17 +68,32 @@ class Message:
         return self.content if self.decode is None else self.decode(self.content)
 
     def get(self, name: str) -> Any:
-        """A field's value, or that of a.b within one; of a list of messages, a tuple of each one's. Raises KeyError
-        without such a field."""
+        """A field's value, or that of a.b within one, or of a part (`wrench[0]`) of a list; of a list of messages, a
+        tuple of each one's. Raises KeyError without such a field, IndexError for a part beyond its end."""
+        base, parts = list_parts(name)
         if isinstance(self.value, Mapping):
-            return self.value[name]
-        found = self.value
-        for part in name.split("."):
-            of_list = isinstance(found, list) and len(found) > 0
-            if not hasattr(found[0] if of_list else found, part):
-                raise KeyError(name)
-            found = tuple(getattr(one, part) for one in found) if of_list else getattr(found, part)
+            if name in self.value:
+                return self.value[name]
+            found = self.value[base]
+        else:
+            found = self.value
+            for part in base.split("."):
+                of_list = isinstance(found, list) and len(found) > 0
+                if not hasattr(found[0] if of_list else found, part):
+                    raise KeyError(name)
+                found = tuple(getattr(one, part) for one in found) if of_list else getattr(found, part)
+        found = json.loads(found) if parts and isinstance(found, str) and found.startswith("[") else found
+        for at in parts:
+            if at >= len(found):
+                raise IndexError(f"{name}: {base} has {len(found)} parts, from [0] on")
+            found = found[at]
         return found
+
+
+def list_parts(name: str) -> tuple[str, list[int]]:
+    """The field of a part of a list, and the part's places: `T[3][0]` is of T."""
+    found = re.fullmatch(r"(.+?)((?:\[\d{1,6}\])+)", name, re.ASCII | re.DOTALL)
+    return (found[1], [int(one) for one in found[2][1:-1].split("][")]) if found else (name, [])
 
 
 class Reader(Protocol):
@@ -237,12 +254,15 @@ class FolderReader:
         self.path, self._skip_rows, self._times = path, skip_rows, times
         self._tables: dict[str, Path] = {}
         self._files: dict[str, list[Path]] = {}
+        self._forms: dict[str, TableForm] = {}
         for one in sorted(sorted(path.rglob("*")), key=natural_key) if path.is_dir() else [path]:
             place, suffix = one.relative_to(path if path.is_dir() else path.parent), one.suffix.lower()
             if suffix in TABLES:
                 self._tables[_name(place)] = one
             elif suffix in FILES and one.is_file():
                 self._files.setdefault(_name(place.parent / f"*{one.suffix}"), []).append(one)
+        if self._files:  # texts beside images are their times
+            self._tables = {name: one for name, one in self._tables.items() if one.suffix.lower() != ".txt"}
         if not self._tables and not self._files:
             known, came = ", ".join((*BAGS, *TABLES, *FILES)), repr(path.suffix or path.name)
             came = "a folder without one" if path.is_dir() else came
@@ -252,7 +272,7 @@ class FolderReader:
     @cached_property
     def topics(self) -> dict[str, Topic]:
         found = {name: Topic(name, "files", len(files)) for name, files in self._files.items()}
-        for name in self._tables:
+        for name, path in self._tables.items():
             try:
                 with self._opened(name) as (schema, count, _):
                     metadata = schema.metadata or {}
@@ -261,10 +281,19 @@ class FolderReader:
                     own = self._own(name)
                     units |= {one.name: one.unit for one in own.columns if one.name in units}
                     kinds = metadata.get(b"deformscope.kinds", b"").decode().split() or [own.kind]
-                found[name] = Topic(name, self._tables[name].suffix.lower()[1:], count, units, kinds[-1])
-            except InputError:  # notes beside images need not be a table
+            except InputError:
                 if not self._files:
                     raise
+                continue
+            form, is_text = self._forms.get(name), path.suffix.lower() != ".parquet"
+            is_doubtful = form is not None and not own.columns and not form.is_likely
+            if is_doubtful and (self._files or (path.suffix == ".txt" and len(self._tables) > 1)):
+                continue  # notes
+            if form is not None and not own.columns:
+                units |= dict(form.units) | dict.fromkeys(form.moments, "ns")
+            words = "" if form is None or own.columns else form.to_text()
+            cut = "" if form is None else form.cut
+            found[name] = Topic(name, "csv" if is_text else "parquet", count, units, kinds[-1], words, cut)
         return found
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
@@ -273,8 +302,9 @@ class FolderReader:
                 yield Message(name, 0, path)
             if name in self._tables:
                 with self._opened(name) as (_, _, batches):
+                    moments = self._forms[name].moments if name in self._forms else ()
                     for batch in batches:
-                        times = _in_ns(batch)
+                        times = _in_ns(batch, moments)
                         for at in range(0, len(times), BATCH_ROWS):
                             for row in times.slice(at, BATCH_ROWS).to_pylist():
                                 yield Message(name, 0, row)
@@ -283,38 +313,49 @@ class FolderReader:
         """Description of a table in an export's manifest; empty for others."""
         return next((one for one in self.about.streams if name in one.files), ExportedStream())
 
-    def _types(self, name: str, schema: pa.Schema) -> dict[str, pa.DataType]:
-        """Types of a CSV's columns whose first rows do not show it: a fraction may follow below."""
+    def _types(self, name: str, form: TableForm) -> dict[str, pa.DataType]:
+        """Types of a CSV's columns, whose first rows may be whole numbers though a fraction follows below."""
         if own := self._own(name).columns:
             said = {one.name: one.type for one in own if one.type in ("double", "int64")}
-            return {one: pa.type_for_alias(said[one]) for one in schema.names if one in said}
-        shown = (pa.int64(), pa.null())
-        return {one.name: pa.float64() for one in schema if one.type in shown and one.name not in self._times}
+            return {one: pa.type_for_alias(said[one]) for one in form.names if one in said}
+        exact = form.whole & {*self._times}
+        return dict.fromkeys(form.numbers - exact, pa.float64()) | dict.fromkeys(form.moments, pa.string())
 
     @contextlib.contextmanager
     def _opened(self, name: str) -> Iterator[tuple[pa.Schema, int | None, Iterator[pa.RecordBatch]]]:
-        from pyarrow import csv, parquet
+        from pyarrow import parquet
 
         path = utf8_path(self._tables[name])
         try:
             if path.suffix.lower() == ".parquet":
                 with parquet.ParquetFile(path) as file:
-                    rows = _batch_rows(file.metadata, self._tables[name])
-                    yield file.schema_arrow, file.metadata.num_rows, file.iter_batches(rows)
+                    rows, names = _batch_rows(file.metadata, self._tables[name]), unique_names(file.schema_arrow.names)
+                    schema = pa.schema(
+                        [one.with_name(name) for one, name in zip(file.schema_arrow, names, strict=True)],
+                        file.schema_arrow.metadata,
+                    )
+                    yield schema, file.metadata.num_rows, (one.rename_columns(names) for one in file.iter_batches(rows))
                 return
             with path.open("rb") as text:
-                head = next(itertools.islice(text, self._skip_rows, None), b"")
-            columns = head.count(b",") + 1
-            check_size(f"a table, of {columns} columns,", columns * COLUMN_BYTES, self._tables[name])
-            read = csv.ReadOptions(skip_rows=self._skip_rows, block_size=1 << 22)
-            with csv.open_csv(path, read_options=read) as file:
-                types = csv.ConvertOptions(column_types=self._types(name, file.schema))
-            with csv.open_csv(path, read_options=read, convert_options=types) as file:
-                yield file.schema, None, iter(file)
+                if name not in self._forms:
+                    is_own = bool(self._own(name).columns)
+                    self._forms[name] = form_of(text, self._skip_rows, self._tables[name], is_own=is_own)
+                form = self._forms[name]
+                with open_table(text, form, self._types(name, form)) as rows:
+                    yield rows.schema, None, iter(rows)
         except (pa.ArrowException, OSError, ValueError) as error:
-            came, refused = " ".join(str(error).split())[:160], isinstance(error, PermissionError)
-            hint = "" if refused else "skip_rows in the map"
-            raise InputError("a readable table", came, hint, self._tables[name]) from error
+            raise self._unreadable(name, error) from error
+
+    def _unreadable(self, name: str, error: Exception) -> InputError:
+        """What is wrong with a table, with the name of the column."""
+        came, form = " ".join(str(error).split())[:160], self._forms.get(name)
+        if form is not None and (at := re.search(r"CSV column #(\d+)", came)):
+            column, form_names = int(at[1]), form.names
+            came = came.replace(at[0], form_names[column] if column < len(form_names) else at[0])
+            came = came.replace("CSV conversion error to double: invalid value", "no number:")
+        is_row = "CSV" in str(error)
+        hint = "the table without that row, or a part of it" if is_row else ""
+        return InputError("a readable table", came, hint, self._tables[name])
 
 
 def _name(place: PurePath) -> str:
@@ -352,10 +393,13 @@ def _has_ns(kind: pa.DataType) -> bool:
     return bool(pa.types.is_timestamp(kind) or pa.types.is_duration(kind))
 
 
-def _in_ns(batch: pa.RecordBatch) -> pa.RecordBatch:
-    """Its times as whole numbers [ns]."""
+def _in_ns(batch: pa.RecordBatch, moments: Collection[str]) -> pa.RecordBatch:
+    """Its times as whole numbers [ns]. moments: columns of times as text"""
     for at, one in enumerate(batch.schema):
         if _has_ns(one.type):
             kind = pa.timestamp("ns", one.type.tz) if pa.types.is_timestamp(one.type) else pa.duration("ns")
             batch = batch.set_column(at, one.name, batch.column(at).cast(kind).cast(pa.int64()))
+        elif one.name in moments:
+            texts = batch.column(at).to_pylist()
+            batch = batch.set_column(at, one.name, pa.array([moment_ns(text) if text else None for text in texts]))
     return batch

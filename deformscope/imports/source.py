@@ -40,7 +40,7 @@ class ImportSource(ItemSource):
     map; raises InputError for missing keys of the map"""
 
     def __init__(self, reader: Reader, asked: ImportMap) -> None:
-        self._topics = reader.topics
+        self.topics = self._topics = reader.topics
         for stream in asked.streams:
             for name in (*stream.topics, *([stream.pose] if stream.pose else ())):
                 if name not in self._topics:
@@ -135,6 +135,7 @@ class _Stream(Counted):
             raise stream.missing("topics", "of one kind: tables, files, or messages", ", ".join(stream.topics))
         self._times = _file_times(stream, reader) if is_file and not stream.rate_hz else None
         super().__init__()
+        self.lost = sum(bool(topics[name].cut) for name in stream.topics)
         self._log_ns = 0
         self._waiting: dict[int, dict[str, Message]] = {}
         self._late = deque[tuple[int, Message]]()

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+import msgspec
 import numpy as np
 
 from deformscope.config import ImportConfig
@@ -16,12 +17,14 @@ from deformscope.file_io import none_larger, refusal
 from deformscope.files.motions import parse_motion
 from deformscope.files.pairs import parse_pair
 from deformscope.frames import HealthReport
-from deformscope.imports.import_map import read_map
-from deformscope.imports.inspect import inspect, propose
+from deformscope.imports.import_map import ImportMap, read_map
+from deformscope.imports.inspect import Found, inspect, propose
 from deformscope.imports.mesh_take import read_take
 from deformscope.imports.readers import open_reader
 from deformscope.imports.source import ImportSource
+from deformscope.imports.values import StreamValues, stream_values
 from deformscope.log.layout import RIG, RigLayout
+from deformscope.pictures.preview import Preview, preview_png
 from deformscope.pictures.report import Table
 from deformscope.plain import plain
 from deformscope.recording.losses import losses_of
@@ -40,24 +43,42 @@ LONG_GAP = 100
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Inspected:
-    """Content of a source. topics: topics as in the JSON; toml: a map as a start, with the findings as its comments"""
+    """Content of a source. topics: topics as in the JSON; toml: a map as a start, with the findings as its comments
+    values: what the map's streams hold"""
 
     topics: list[dict[str, Any]]
     toml: str
+    values: list[StreamValues]
+
+    def picture(self) -> bytes:
+        """The streams as a PNG."""
+        shown = []
+        for one in self.values:
+            points = {name: np.array(found.means).T for name, found in one.quantities.items() if found.means}
+            lines = {f"{name} [{one.quantities[name].unit or '?'}]": values for name, (_, values) in points.items()}
+            times = next((times for times, _ in points.values()), np.zeros(0))
+            lines = {name: values for name, values in lines.items() if len(values) == len(times)}
+            shown.append(Preview(one.to_text()[:100], "time [s]" if one.is_timed else "row", times, lines, one.image))
+        return preview_png(shown)
 
 
 def inspect_source(config: ImportConfig) -> Inspected:
     """Read a source once, and propose a map."""
-    with none_larger(config.largest_mb * 10**6), open_reader(config.source) as reader:
+    given = ImportMap() if config.map is None else read_map(config.map, is_draft=True)
+    times = [one.time for one in given.streams]
+    with none_larger(config.largest_mb * 10**6), open_reader(config.source, given.skip_rows, times) as reader:
         found = inspect(reader)
-        asked = propose(reader, found)
-    lines = ["# " + "\\n".join(printable(one.to_text()).split("\n")) for one in found]
+        asked = given if given.streams else msgspec.structs.replace(propose(reader, found), skip_rows=given.skip_rows)
+        values = stream_values(reader, asked)
+    said: list[Found | StreamValues] = [*found, *values]
+    lines = ["# " + "\\n".join(printable(one.to_text()).split("\n")) for one in said]
+    toml = asked.to_toml() if config.map is None or not given.streams else config.map.read_text(encoding="utf-8")
     facts = [
         {"topic": one.topic.name, "type": one.topic.type, "messages": one.seen.count, "rate_hz": one.seen.rate_hz}
         | {"longest_gap_s": one.seen.gap_ns / 1e9, "clock_s": one.clock_s, "columns": dict(one.topic.units)}
         for one in found
     ]
-    return Inspected(facts, "\n".join([*lines, "", asked.to_toml()]))
+    return Inspected(facts, "\n".join([*lines, "", toml]), values)
 
 
 def import_source(config: ImportConfig) -> RecordResult:
@@ -139,6 +160,8 @@ def _result(
         if not one["valid_share"]:
             losses[name] = losses.get(name, {}) | {"unseen": devices[name].received}
             rows.append((name, _likely(one)))
+    cuts = {one.name: one.cut for one in source.topics.values() if one.cut}
+    rows += [(name, f"its last line is cut and left out: {cut[:60]!r}") for name, cut in cuts.items()]
     gaps_s = {name: gap_s for name, gap_s in source.gaps_s.items() if gap_s * devices[name].rate_hz > LONG_GAP}
     rows += [(name, f"longest gap {gap_s:.4g} s") for name, gap_s in gaps_s.items()]
     rows += [(f"stage {name}", counts.to_text()) for name, counts in stages.items()]

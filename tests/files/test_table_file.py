@@ -79,7 +79,7 @@ REFUSED = {
     "halves.npz": (npz(label=np.array([0.5, 1.0]), f=np.eye(2)), "whole numbers in label"),
     "alone.npz": (npz(label=LABEL), "at least one modality"),
     "number.npz": (npz(label=LABEL, f=np.eye(2), depth=3.0), "a row of depth for each label"),
-    "table.txt": (b"label", "ends in .npz, .csv, .parquet; got '.txt'"),
+    "table.doc": (b"label", "ends in .npz, .csv, .tsv, .txt, .dat, .parquet; got '.doc'"),
     "no.csv": (b"", "a CSV table with a header"),
     "ragged.csv": (b"label,f.0\na,1\nb,2,3\n", "a CSV table with a header"),
     "unnamed.csv": (b"label,f.0,force\na,1,2\nb,2,3\n", "got force"),
