@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import heapq
+import itertools
 import json
+import operator
 import re
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path, PurePath
@@ -26,7 +29,10 @@ from deformscope.recording.utf8_path import utf8_path
 BAGS = (".bag", ".mcap", ".db3")
 TABLES = (*TEXTS, ".parquet")
 FILES = (".png", ".tif", ".tiff", ".jpg", ".pcd", ".ply")
-CANDUMP = re.compile(r"\((\d{1,12})\.(\d+)\)\s+(\S+)\s+([0-9A-Fa-f]{1,8})#([0-9A-Fa-f]*)(\s+[RT])?\s*$")
+CANDUMP = re.compile(r"\((\d{1,12})\.(\d+)\)\s+(\S+)\s+([0-9A-Fa-f]{1,8})(#{1,3})(\S*)(\s+[RT])?\s*$")
+CAN_DATA = re.compile(r"((?:[0-9A-Fa-f]{2})*)(?:_[0-9A-Fa-f])?")
+CAN_ERROR = 1 << 29
+"""Bit of an identifier that is of an error frame."""
 TABLE_TYPES = ("csv", "parquet")
 BATCH_ROWS = 64
 """Rows that are read together: a column's text, however long, comes once with each."""
@@ -119,8 +125,12 @@ def open_reader(path: Path, skip_rows: int = 0, times: Collection[str] = ()) -> 
     except OSError as error:
         raise InputError("a readable source", (error.strerror or "").lower(), where=path) from error
     suffix = path.suffix.lower()
+    others = {one.suffix.lower() for one in path.iterdir()} & {*TABLES, *FILES} if path.is_dir() else {path}
     if suffix in BAGS or (path / "metadata.yaml").is_file():
-        with _opened_bag(path) as reader:
+        with _opened_bag(path, [path]) as reader:
+            yield reader
+    elif not others and (parts := _parts(path)):
+        with _opened_bag(path, parts) as reader:
             yield reader
     elif path.is_file() and suffix in (".bin", ".raw", ".log"):
         yield ByteReader(path)
@@ -129,25 +139,40 @@ def open_reader(path: Path, skip_rows: int = 0, times: Collection[str] = ()) -> 
 
 
 @contextlib.contextmanager
-def _opened_bag(path: Path) -> Iterator[Reader]:
+def _opened_bag(path: Path, files: Sequence[Path]) -> Iterator[Reader]:
+    """files: the parts of a folder without metadata.yaml, or the path"""
     try:
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
+        from rosbags.rosbag1 import Reader as Reader1
+        from rosbags.rosbag2 import Reader as Reader2
     except ImportError:
         missing = "pip install 'deformscope[import]'"
         raise InputError("the package rosbags", "none", missing) from None
-    with bounded():
+
+    def opened(one: Path) -> Any:
+        reader = Reader1(one) if one.suffix == ".bag" else Reader2(one)
+        reader.open()
+        kept.callback(reader.close)
+        return reader
+
+    with bounded(), contextlib.ExitStack() as kept:
         try:
-            bag = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
-            bag.open()
+            try:
+                readers = [opened(one) for one in files]
+            except Exception as error:
+                if not path.is_dir() or "Serialization format" not in str(error):
+                    raise
+                readers = [opened(one) for one in _parts(path)]  # beside topics of ROS others, which rosbags refuses
         except Exception as error:  # rosbags and what it reads with have errors of many kinds
             raise _unreadable(path, error) from error
-        try:
-            for one in bag.readers:
-                check_chunks(getattr(one, "storage", None), path)
-            yield BagReader(path, bag)
-        finally:
-            bag.close()
+        for one in readers:
+            check_chunks(getattr(one, "storage", None), path)
+        yield BagReader(path, readers)
+
+
+def _parts(path: Path) -> list[Path]:
+    """The bags of a folder, in their order."""
+    found = [one for one in path.iterdir() if one.suffix in BAGS] if path.is_dir() else []
+    return sorted(found, key=natural_key)
 
 
 def _unreadable(path: Path, error: Exception) -> InputError:
@@ -160,38 +185,90 @@ def _unreadable(path: Path, error: Exception) -> InputError:
 
 
 class BagReader:
-    """A bag, by rosbags."""
+    """A bag, by rosbags. readers: of its files. Each connection has its own types: one that cannot be read keeps no
+    other from being read."""
 
-    def __init__(self, path: Path, bag: Any) -> None:
-        self._path, self._bag = path, bag
+    def __init__(self, path: Path, readers: Sequence[Any]) -> None:
+        self._path, self._readers = path, readers
+        self._decoders: dict[int, Callable[[bytes], Any]] = {}
         self.about = _metadata(path) if path.suffix == ".mcap" else Manifest()
 
     @cached_property
     def topics(self) -> dict[str, Topic]:
         found: dict[str, Topic] = {}
-        for one in self._bag.connections:
-            before = found[one.topic].count if one.topic in found else 0
-            kind = one.msgtype.removeprefix(PACKAGE).rstrip("0123456789") if one.msgtype.startswith(PACKAGE) else ""
-            found[one.topic] = Topic(one.topic, one.msgtype, (before or 0) + one.msgcount, kind=kind)
+        for one in itertools.chain(*(reader.connections for reader in self._readers)):
+            before, of = found[one.topic].count if one.topic in found else 0, _ros_type(one)
+            kind = of.removeprefix(PACKAGE).rstrip("0123456789") if of.startswith(PACKAGE) else ""
+            found[one.topic] = Topic(one.topic, of, (before or 0) + one.msgcount, kind=kind)
         return found
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
-        wanted = [one for one in self._bag.connections if one.topic in topics]
-        if not wanted:
-            return
+        wanted = [[one for one in reader.connections if one.topic in topics] for reader in self._readers]
+        read = [reader.messages(connections=of) for reader, of in zip(self._readers, wanted, strict=True) if of]
         try:
-            for connection, log_ns, raw in self._bag.messages(connections=wanted):
-                yield Message(connection.topic, log_ns, raw, partial(self._decode, connection.msgtype))
+            for connection, log_ns, raw in heapq.merge(*read, key=operator.itemgetter(1)):
+                yield Message(connection.topic, log_ns, raw, partial(self._decode, connection))
         except Exception as error:  # as above
             raise _unreadable(self._path, error) from error
 
-    def _decode(self, kind: str, raw: bytes) -> Any:
+    def _decode(self, connection: Any, raw: bytes) -> Any:
+        of, hint = _ros_type(connection), "leave its topic out of the map"
+        if id(connection) not in self._decoders:
+            encoding = _encoding(connection)
+            if encoding not in ("cdr", "ros1"):
+                raise InputError(f"messages of ROS in {connection.topic}", of, hint, self._path)
+            try:
+                store = _typestore(connection, of)
+            except Exception as error:
+                came = f"{of}: {' '.join(str(error).split())[:120]}"
+                raise InputError("messages of a known type", came, hint, self._path) from error
+            self._decoders[id(connection)] = partial(
+                lambda raw, decode, of: decode(raw, of),
+                decode=store.deserialize_ros1 if encoding == "ros1" else store.deserialize_cdr,
+                of=of,
+            )
         try:
-            return self._bag.deserialize(raw, kind)
+            return self._decoders[id(connection)](raw)
         except KeyError as error:
-            raise InputError("messages of a known type", kind, "leave its topic out of the map", self._path) from error
+            raise InputError("messages of a known type", of, hint, self._path) from error
         except Exception as error:  # as above
             raise _unreadable(self._path, error) from error
+
+
+def _encoding(connection: Any) -> str:
+    return str(getattr(connection.ext, "serialization_format", "ros1"))
+
+
+def _ros_type(connection: Any) -> str:
+    """Type of its messages, as ROS 2 spells it; with their encoding, if that is not of ROS."""
+    if (encoding := _encoding(connection)) not in ("cdr", "ros1"):
+        return f"{connection.msgtype} ({encoding})"
+    return (
+        re.sub(r"(\w+)/(\w+)", r"\1/msg/\2", connection.msgtype)
+        if connection.msgtype.count("/") == 1
+        else str(connection.msgtype)
+    )
+
+
+def _typestore(connection: Any, of: str) -> Any:
+    """The types of its definition, or of ROS 2 where a bag has none."""
+    from rosbags.interfaces import MessageDefinitionFormat
+    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+
+    definition = connection.msgdef
+    if definition.format == MessageDefinitionFormat.NONE:
+        return get_typestore(Stores.ROS2_HUMBLE)
+    store = get_typestore(Stores.EMPTY)
+    if definition.format == MessageDefinitionFormat.MSG:
+        store.register(get_types_from_msg(definition.data, of))
+        return store
+    line = "=" * 80 + "\n"  # between the parts of a definition by rosbag2, which begin with their names
+    parts = definition.data.split(line)[1:] if definition.data.startswith(f"{line}IDL: ") else ["\n" + definition.data]
+    types: dict[str, Any] = {}
+    for part in parts:
+        types |= get_types_from_idl(part.partition("\n")[2])
+    store.register(types)
+    return store
 
 
 def _metadata(path: Path) -> Manifest:
@@ -224,7 +301,8 @@ class ByteReader:
         if self._path.suffix.lower() != ".log":
             return {self._name: Topic(self._name, "bytes")}
         found: Counter[str] = Counter(message.topic for message in self.messages(None))
-        return {name: Topic(name, "candump", count) for name, count in found.items()}
+        kinds = {"#R": "remote frames, left out", "##": "FD or XL frames, left out", "#E": "error frames, left out"}
+        return {name: Topic(name, kinds.get(name[-2:], "candump"), count) for name, count in found.items()}
 
     def messages(self, topics: Collection[str] | None) -> Iterator[Message]:
         """topics: None = all"""
@@ -235,15 +313,29 @@ class ByteReader:
             return
         with self._path.open(encoding="ascii", errors="replace") as lines:
             for number, line in enumerate(lines, 1):
-                if not (found := CANDUMP.match(line)) or len(found[5]) % 2:
-                    if not line.strip():
+                found = CANDUMP.match(line)
+                name = found and _can_topic(found)
+                if not found or not name:
+                    if not line.strip() or not line.endswith("\n"):  # the last, which was cut
                         continue
                     expected = "lines as of candump -L, (SECONDS) BUS ID#DATA"
                     raise InputError(expected, repr(line.strip()[:60]), where=f"{self._path}:{number}")
-                topic = f"{found[3]}/{int(found[4], 16):x}"
-                if topics is None or topic in topics:
+                if topics is None or name in topics:
                     ns = int(found[1]) * 10**9 + int(found[2].ljust(9, "0")[:9])
-                    yield Message(topic, ns, bytes.fromhex(found[5]))
+                    content = CAN_DATA.fullmatch(found[6])
+                    yield Message(name, ns, bytes.fromhex(content[1]) if content else b"")
+
+
+def _can_topic(found: re.Match[str]) -> str:
+    """The topic of a frame: standard identifiers without leading zeros, extended ones of eight digits; #R, ## and #E
+    mark frames that are no data of a classic bus. Empty if it is no frame."""
+    number = int(found[4], 16)
+    name = f"{found[3]}/{number:x}" if len(found[4]) <= 3 else f"{found[3]}/{number:08x}"
+    if len(found[5]) > 1 or number & CAN_ERROR:
+        return name + ("##" if len(found[5]) > 1 else "#E")
+    if re.fullmatch(r"R\w*", found[6]):
+        return f"{name}#R"
+    return name if CAN_DATA.fullmatch(found[6]) else ""
 
 
 class FolderReader:

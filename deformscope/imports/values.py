@@ -136,12 +136,12 @@ def _of_stream(reader: Reader, asked: ImportMap, stream: MappedStream) -> Stream
         if stream.kind == "wrench" and len(alone) == 1:
             made.why = f"a force along {alone[0][6]} alone, 0 along the others"
     except InputError as error:
-        made.why = str(error)
+        made.why = str(error).partition(" | ")[0]
         if not made.rows and all(
             reader.topics[one].type in TABLE_TYPES for one in stream.topics if one in reader.topics
         ):
             # what the map still asks need not be said again
-            made = StreamValues(stream.device, "as in the source", "" if f"'{ASKED}'" in repr(stream) else str(error))
+            made = StreamValues(stream.device, "as in the source", "" if f"'{ASKED}'" in repr(stream) else made.why)
             for row, time_s in _rows(reader, stream, made):
                 made.add(row, time_s)
     return made
