@@ -7,6 +7,7 @@ rows."""
 from __future__ import annotations
 
 import codecs
+import contextlib
 import csv
 import io
 import re
@@ -161,7 +162,8 @@ def form_of(file: BinaryIO, skip_rows: int = 0, where: object = "", *, is_own: b
     while (count < SEEN_BYTES or (len(raw) < SEEN_LINES + skip_rows and count < most)) and (
         line := file.readline(most)
     ):
-        columns = max(line.count(one.encode()) for one in SEPARATORS) + 1
+        bare = re.sub(rb'"[^"]*"', b"", line)
+        columns = (max(map(bare.count, (b"\t", b";", b","))) or bare.count(b" ")) + 1
         check_size(f"a table, of {columns} columns,", columns * COLUMN_BYTES, where)
         raw.append(line)
         count += len(line)
@@ -170,7 +172,7 @@ def form_of(file: BinaryIO, skip_rows: int = 0, where: object = "", *, is_own: b
     lines = lines[:-1] if is_cut and not lines[-1].endswith("\n") else lines  # the file goes on
     size = file.seek(0, io.SEEK_END)
     if is_own:
-        return replace(_Looked(",", lines, 0, heads=1).form(), encoding=encoding, end=size)
+        return replace(_Looked(",", lines[:1], 0, heads=1).form(), encoding=encoding, end=size)
     looked = [_Looked(one, lines, skip_rows) for one in SEPARATORS]
     best = max(looked, key=lambda one: one.evidence)
     if skip_rows and not best.is_named:
@@ -367,8 +369,8 @@ def _split(lines: Sequence[str], separator: str) -> list[_Row]:
     plain = [re.sub(r"^[#%]+\s*", "", line) for line in lines]
     if separator == " ":
         plain = [" ".join(line.split()) + "\n" for line in plain]
-    reader = csv.reader(plain, delimiter=separator)
-    try:
-        return [([one.strip() for one in row], reader.line_num) for row in reader if row]
-    except csv.Error:
-        return []
+    reader, found = csv.reader(plain, delimiter=separator), []
+    with contextlib.suppress(csv.Error):  # of a field that is very long
+        for row in filter(None, reader):
+            found.append(([one.strip() for one in row], reader.line_num))
+    return found
