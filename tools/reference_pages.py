@@ -380,10 +380,10 @@ def read_rows() -> list[tuple[str, ...]]:
         (
             f"table ({listed(*TABLES)})",
             "`columns`",
-            "`units`, or the file's own",
-            turned,
-            "`time`, `time_unit`",
-            "no unit",
+            "`units`, or the header's: another one is refused",
+            f"{turned}; one force column is along its axis",
+            "`time`, `time_unit`; times of day and dates by themselves",
+            "no unit; a name of two columns (`Fx#3`); a list without its part (`F[0]`); a cut last line is a loss",
         ),
         (
             f"folder of {listed(*images)}",
@@ -395,7 +395,15 @@ def read_rows() -> list[tuple[str, ...]]:
         ),
         (f"folder of {listed(*CLOUDS)}", "`x`, `y`, `z`", "`units.points`", axes, files, f"no unit; {behind}"),
         ("bytes (`.bin`, `.raw`)", "OptoForce DAQ, DSA", "`config.sensitivity`", "the sensor's", "`rate_hz`", ""),
-        ("`candump -L` log (`.log`)", "the same on CAN", "`config.sensitivity`", "the sensor's", "the log's", ""),
+        (
+            "`candump -L` log (`.log`)",
+            "the same on CAN; extended identifiers have eight digits",
+            "`config.sensitivity`",
+            "the sensor's",
+            "the log's",
+            "remote, error and FD frames are counted and left out",
+        ),
+        (bag, "messages that are not of ROS 1 or 2, services", "", "", "", "listed as not read; the rest is imported"),
         ("folder of meshes (`--pairs`)", "meshes with forces", "m, N", "the meshes'", "none", ""),
     ]
 

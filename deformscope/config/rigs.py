@@ -244,8 +244,8 @@ class ImportConfig(RecordedOptions):
     map: Annotated[Path | None, flags.one_word("FILE.toml", Path), flags.unset, flags.Reads()] = None
     """The map."""
     inspect: bool = False
-    """List topics with types, rates, gaps and clocks, and a map, as TOML; import nothing. Of each stream of the map
-    (--map, or the proposed one): rate, share of valid values, smallest, median and largest, in SI units."""
+    """List topics with types, rates, gaps and clocks, and a map, as TOML; import nothing. Each stream of the map
+    (--map, or the proposed one) has its rate, share of valid values, smallest, median and largest, in SI units."""
     picture: flags.PictureFlag = None
     """With --inspect: draw the streams."""
     pairs: Annotated[Path | None, flags.one_word("FOLDER", Path), flags.unset] = None

@@ -99,10 +99,11 @@ _Row = tuple[list[str], int]
 
 @dataclass(frozen=True)
 class TableForm:
-    """How a table is written. point: its decimal point; names: of its columns, each once; units: of columns, as far as
-    it says them; skipped: lines before its first row, and `before` its header; moments: columns of times of day or
-    dates; whole: columns that begin with whole numbers; numbers: columns of numbers; is_likely: most is numbers, below
-    a header; encoding: of its text; end: bytes without a last line that was cut, which is `cut`"""
+    """How a table is written. point: its decimal point; names: its columns' names, each once; units: units of columns,
+    as far as it says them; skipped: lines before its first row, and `before` its header; moments: columns with times
+    of day or dates; whole: columns that begin with whole numbers; numbers: columns with numbers alone; is_likely: most
+    is numbers, below a header; encoding: encoding of its text; end: bytes without a last line that was cut, which is
+    `cut`"""
 
     separator: str
     point: str
@@ -132,7 +133,7 @@ class TableForm:
 
 
 def unique_names(names: Sequence[str]) -> tuple[str, ...]:
-    """Names of columns, each once: one that stands several times, or is empty, has its place from 1 (`Fx#3`)."""
+    """Names of columns, each once: a name of several, or none, has its place from 1 (`Fx#3`)."""
     found = Counter(names)
     return tuple(one if one and found[one] == 1 else f"{one}#{at}" for at, one in enumerate(names, 1))
 
@@ -191,7 +192,7 @@ def form_of(file: BinaryIO, skip_rows: int = 0, where: object = "", *, is_own: b
 
 
 def open_table(file: BinaryIO, form: TableForm, types: Mapping[str, Any], nulls: Sequence[str] | None = None) -> Any:
-    """pyarrow's reader of its rows, in batches. types: of columns; nulls: texts that stand for no value"""
+    """pyarrow's reader of its rows, in batches. types: types of columns; nulls: texts without a value"""
     from pyarrow import csv as arrow
 
     file.seek(0)

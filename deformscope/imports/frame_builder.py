@@ -150,7 +150,9 @@ class FrameBuilder:
         for name, field in stream.columns.items():
             if is_table and field not in units and list_parts(field)[0] not in units:
                 places = [one for one in units if one.startswith(f"{field}#")]
-                which = f"one of {', '.join(places or units)}" + f": {field} stands {len(places)} times" * bool(places)
+                which = f"one of {', '.join(places or units)}" + f": {len(places)} columns are named {field}" * bool(
+                    places
+                )
                 raise stream.missing(f"columns.{name}", which, field)
             self._fields[name] = field, self._factor(name, field, units.get(field) or _vendor(field)[0])
         if stream.kind == "arm":

@@ -1,4 +1,4 @@
-"""What a map makes of a source, in few numbers and a picture: a person judges whether they are what was measured."""
+"""The streams of a map in few numbers and a picture: a person judges whether they are what was measured."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Quantities = dict[str, tuple[str, FloatArray]]
 
 @dataclass(slots=True)
 class Quantity:
-    """Values in a unit. known: how many of `count` are; means: of each row, `every` rows apart, with its time"""
+    """Values in a unit. known: how many of `count` are; means: mean of each row with its time, `every` rows apart"""
 
     unit: str
     count: int = 0
@@ -119,7 +119,7 @@ class StreamValues:
 
 
 def stream_values(reader: Reader, asked: ImportMap) -> list[StreamValues]:
-    """Of each stream of a map: in SI units, or, where the map still asks, the columns of its tables as they are."""
+    """Values of each stream of a map in SI units; where the map still asks, those of its tables' columns."""
     return [_of_stream(reader, asked, one) for one in asked.streams]
 
 

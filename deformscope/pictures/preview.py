@@ -11,8 +11,8 @@ from deformscope.pictures.figures import COLOURS, canvas, png_of
 
 @dataclass(frozen=True, slots=True)
 class Preview:
-    """A stream. title: what it is; times: of its rows, in the unit of `time` (n,); values: of its quantities, with
-    units in their names (n,); image: one in their place, distances [m] or grey or RGB"""
+    """A stream. title: its line above the drawing; times: times of its rows, in the unit of `time` (n,); values: values
+    of its quantities, with units in their names (n,); image: one in their place, distances [m] or grey or RGB"""
 
     title: str
     time: str

@@ -144,7 +144,7 @@ def test_columns_of_one_name_have_their_place(to: str, tmp_path: Path, capfd: py
     assert "Fx#3" in inspected(source)
     assert "Fx#6" in inspected(source)
     error = refused(source, asked(AXES), tmp_path / "r.rrd", capfd)
-    assert "one of Fz#5, Fz#8: Fz stands 2 times; got 'Fz'" in error
+    assert "one of Fz#5, Fz#8: 2 columns are named Fz; got 'Fz'" in error
     for places, values in (("345", (1, 2, 3)), ("678", (10, 20, 30))):
         text = asked({f"force_{axis}_n": f"F{axis}#{at}" for axis, at in zip("xyz", places, strict=True)})
         frames: list[Any] = frames_of(imported(source, text, tmp_path / f"{places}.rrd"))["tip"]
