@@ -185,8 +185,8 @@ def _unreadable(path: Path, error: Exception) -> InputError:
 
 
 class BagReader:
-    """A bag, by rosbags. readers: readers of its files. Each connection has its own types: one that cannot be read keeps
-    no other from being read."""
+    """A bag, by rosbags. readers: readers of its files. Each connection has its own types: one that cannot be read
+    keeps no other from being read."""
 
     def __init__(self, path: Path, readers: Sequence[Any]) -> None:
         self._path, self._readers = path, readers
