@@ -201,11 +201,11 @@ def open_table(file: BinaryIO, form: TableForm, types: Mapping[str, Any], nulls:
     read = arrow.ReadOptions(skip_rows=form.skipped, column_names=form.names, block_size=BLOCK_BYTES, encoding=encoding)
     convert = arrow.ConvertOptions(column_types=types, decimal_point=form.point, null_values=nulls)
     parse = arrow.ParseOptions(delimiter=form.separator)
-    rows = io.BufferedReader(_Rows(file, form), BLOCK_BYTES)
+    rows = io.BufferedReader(_TextLines(file, form), BLOCK_BYTES)
     return arrow.open_csv(rows, read_options=read, parse_options=parse, convert_options=convert)
 
 
-class _Rows(io.RawIOBase):
+class _TextLines(io.RawIOBase):
     """A table's whole lines, with one blank for each run of them."""
 
     def __init__(self, file: BinaryIO, form: TableForm) -> None:

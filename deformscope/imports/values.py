@@ -28,7 +28,7 @@ Quantities = dict[str, tuple[str, FloatArray]]
 
 
 @dataclass(slots=True)
-class Quantity:
+class QuantityValues:
     """Values in a unit. known: how many of `count` are; means: mean of each row with its time, `every` rows apart"""
 
     unit: str
@@ -72,7 +72,7 @@ class StreamValues:
     last_s: float = 0.0
     is_timed: bool = True
     is_part: bool = False
-    quantities: dict[str, Quantity] = field(default_factory=dict)
+    quantities: dict[str, QuantityValues] = field(default_factory=dict)
     image: ImageArray | FloatArray | None = None
 
     @property
@@ -92,7 +92,7 @@ class StreamValues:
         """One row."""
         self.first_s, self.last_s = (self.first_s if self.rows else time_s), time_s
         for name, (unit, values) in found.items():
-            self.quantities.setdefault(name, Quantity(unit)).add(values, self.rows, time_s - self.first_s)
+            self.quantities.setdefault(name, QuantityValues(unit)).add(values, self.rows, time_s - self.first_s)
         self.rows += 1
 
     def to_text(self) -> str:
