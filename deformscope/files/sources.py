@@ -42,7 +42,7 @@ class Source:
 
     name: the source's name, for a progress line; count: expected number of frames, None if only reading shows it (the
     count of a video is that of its container); problems: after reading, its missing or damaged parts; timed: when the
-    frames were taken is known, else assumed"""
+    frames were taken is known, else assumed; counted: counts the frames where `count` is only expected"""
 
     def __init__(
         self,
@@ -51,8 +51,10 @@ class Source:
         count: int | None,
         problems: Callable[[], list[str]] = list,
         timed: bool = True,
+        counted: Callable[[], int] | None = None,
     ) -> None:
         self.name = name
+        self._counted = counted
         self.timed = timed
         self.count = count
         self.problems = problems
@@ -85,6 +87,8 @@ class Source:
     def thin(self, most: int) -> None:
         """Give at most this number of frames, evenly spread, including the last one; at least two. Once it was
         entered."""
+        if self._counted is not None and self.count is not None and self.count > most:
+            self.count = self._counted()
         if self.count is None or self.count <= most or self._frames is None:
             return
         kept = np.unique(np.linspace(0, self.count - 1, max(most, 2)).round().astype(int)).tolist()
@@ -287,23 +291,30 @@ def _video(path: Path, stride: int, fps: float | None, timed: bool) -> Source:
                 failed = 0
                 time_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
                 check.read(time_s)
-                first_s = first_s if taken else time_s
-                if fps is not None:
-                    ns = round(taken * 1e9 / fps)
-                elif not taken or time_s > last_s:
-                    ns = max(ns + bool(taken), round((time_s - first_s) * 1e9))
-                elif timed:
-                    came = f"{time_s:.4g} s of frame {taken + 1} after {last_s:.4g} s"
-                    raise InputError("a video whose frames' times rise", came, "--fps RATE, if it is even", path)
-                else:
-                    ns += round(1e9 / rate)
+                if not taken:
+                    first_s = time_s
+                elif fps is None and not time_s > last_s:
+                    if timed:
+                        came = f"{time_s:.4g} s of frame {taken + 1} after {last_s:.4g} s"
+                        raise InputError("a video whose frames' times rise", came, "--fps RATE, if it is even", path)
+                    first_s = time_s - ns / 1e9 - 1.0 / rate  # a usual step behind the last
+                ns = round((time_s - first_s) * 1e9 if fps is None else taken * 1e9 / fps)
                 last_s = time_s
                 if image is not None:
                     yield ColorFrame(Stamp(ns), taken // stride, to_rgb(image))  # type: ignore[arg-type]
                 taken += 1
 
+    def counted() -> int:
+        """A container may list frames that its edits hide, or count those of an even rate."""
+        with _capture(path) as capture:
+            taken = failed = 0
+            while failed < FAILED_READS:
+                done = capture.grab()
+                taken, failed = taken + done, 0 if done else failed + 1
+        return math.ceil(taken / stride)
+
     rising = len(times_ms) < 2 or times_ms[1] > times_ms[0]
-    return Source(str(path), read, count, check.problems, timed=fps is not None or rising)
+    return Source(str(path), read, count, check.problems, timed=fps is not None or rising, counted=counted)
 
 
 @contextlib.contextmanager

@@ -72,6 +72,25 @@ def test_a_trimmed_video_begins_at_0_with_what_it_shows(tmp_path: Path) -> None:
     np.testing.assert_allclose(times_ms(open_source([path])), shown, atol=1.01)
 
 
+@pytest.mark.parametrize(("name", "fourcc"), [("a.mkv", "mp4v"), ("a.avi", "MJPG"), ("a.mov", "MJPG")])
+def test_frames_are_spread_over_those_that_there_are(tmp_path: Path, name: str, fourcc: str) -> None:
+    """A container counts 1.4 s of an even rate, or the frames that are cut away."""
+    path = film(tmp_path / name, SLOWS_MS, fourcc)
+    expected = SLOWS_MS
+    if name == "a.mov":
+        trimmed(path, 200)
+        expected = [time - 200 for time in SLOWS_MS if time >= 200]
+    with open_source([path]) as source:
+        source.thin(6)
+        assert source.count == 6
+        found = [frame.stamp.host_ns / 1e6 for frame in source]
+    assert len(found) == 6
+    np.testing.assert_allclose([found[0], found[-1]], [0, expected[-1]], atol=1.01)
+    with open_source([path], stride=2) as source:
+        source.thin(len(SLOWS_MS))
+        np.testing.assert_allclose([frame.stamp.host_ns / 1e6 for frame in source], expected[::2], atol=1.01)
+
+
 def test_times_that_do_not_rise_are_refused_where_time_matters(tmp_path: Path) -> None:
     path = with_times_at_a_stop(film(tmp_path / "a.mp4", SLOWS_MS))
     with pytest.raises(InputError, match=r"a video whose frames' times rise.*--fps RATE"):
