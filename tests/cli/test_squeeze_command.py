@@ -29,16 +29,10 @@ from deformscope.robot.squeeze_setup import SqueezeSetup
 from deformscope.runs import replay_squeeze
 from deformscope.runs.opened_devices import SqueezeOpening
 from deformscope.runs.replay_squeeze import sighted_again, squeeze_again
+from deformscope.stages.squeeze import trial
 from deformscope.stages.squeeze.model import ContentModel, fit_model
 from deformscope.stages.squeeze.placement import ContainerSighting
 from deformscope.stages.squeeze.table import LabelledTable
-from deformscope.stages.squeeze.trial import (
-    ContainerChange,
-    ContentPosterior,
-    FingertipPressure,
-    SqueezePhase,
-    TrackedContainer,
-)
 from deformscope_drivers.clock import Stamp
 from tests.cases import Capture, Patch
 from tests.experiments.toy_squeeze import ToySqueeze, limits
@@ -99,7 +93,7 @@ def test_tactile_frames_have_their_results_where_devices_fail_to_close(
     file = tmp_path / "r.rrd"
     assert squeeze(tmp_path, "--content", "rice", "--record", str(file))[0] != 0
     (recording,) = (path for path in tmp_path.glob("r*.rrd*") if not path.name.endswith(".ledger"))
-    pressures = list(read_results(recording, (FingertipPressure,), trust=True))
+    pressures = list(read_results(recording, (trial.FingertipPressure,), trust=True))
     frames = [item for item in read_items(recording, trust=True) if isinstance(item, TactileFrame)]
     assert len(pressures) == len(frames) > 100
 
@@ -203,7 +197,7 @@ def test_a_model_names_the_content_while_it_is_squeezed(tmp_path: Path) -> None:
     assert found["named"] in ("empty", "rice")
     from deformscope.recording.items import read_results
 
-    shown = [one.item for one in read_results(file, (ContentPosterior,))]
+    shown = [one.item for one in read_results(file, (trial.ContentPosterior,))]
     assert len(shown) >= 4
     assert sum(one.index == -1 for one in shown) == 1
     assert main(["replay", str(file)]) == 0
@@ -232,8 +226,10 @@ def test_the_container_is_tracked_and_seen_while_it_is_squeezed_and_replayed(
 
     assert status == 0
     images = rows_of(file, DepthFrame)
-    tracked, changes, named = (rows_of(file, kind) for kind in (TrackedContainer, ContainerChange, ContentPosterior))
-    air_ns, open_ns = (row.session_ns for row in rows_of(file, SqueezePhase) if row.item.name in ("air", "open"))
+    tracked, changes, named = (
+        rows_of(file, kind) for kind in (trial.TrackedContainer, trial.ContainerChange, trial.ContentPosterior)
+    )
+    air_ns, open_ns = (row.session_ns for row in rows_of(file, trial.SqueezePhase) if row.item.name in ("air", "open"))
     between = [row.item.index for row in images if air_ns <= row.session_ns < open_ns]
     live = [row.item.index for row in tracked if row.item.live]
     assert live == between[REST_IMAGES - 1 : REST_IMAGES - 1 + len(live)]  # every one since the first five
@@ -263,7 +259,7 @@ def test_the_container_is_tracked_and_seen_while_it_is_squeezed_and_replayed(
         of = {
             one.index: (at, one)
             for at, one in reversed([*enumerate(found.results)])
-            if isinstance(one, ContainerChange)
+            if isinstance(one, trial.ContainerChange)
         }
         at, one = of[twice]
         found.results[at] = dataclasses.replace(one, noise_m=1.0)

@@ -8,13 +8,7 @@ import pytest
 
 from deformscope.pictures.messages import ENDED, format_claim, format_stop, format_verdict
 from deformscope.results.render import to_line
-from deformscope.runs.exploration_result import (
-    ExplorationResult,
-    LayerThickness,
-    TouchOutcome,
-    TruthScore,
-    format_betas,
-)
+from deformscope.runs import exploration_result
 from deformscope.runs.exploration_run import _remarks, _with_messages
 from deformscope.session import Step
 from deformscope.stages.map.exploration import PlannedTouch
@@ -23,7 +17,7 @@ from tests.log.synthetic_exploration import maps as maps_after
 from tests.log.synthetic_exploration import touch
 
 
-def found_with(**changed: Any) -> ExplorationResult:
+def found_with(**changed: Any) -> exploration_result.ExplorationResult:
     """An exploration of three touches of a foam beside something rigid."""
     estimate = dataclasses.replace(
         maps_after(2),
@@ -46,9 +40,9 @@ def found_with(**changed: Any) -> ExplorationResult:
         "more_force_n": 5.0,
         "max_force_n": 5.372,
         "measured_max_force_n": 4.99,
-        "thickness": LayerThickness(0.05, 0.0, "stated"),
-        "truth": TruthScore(3, 0.513, 0.046),
-        "touches": (TouchOutcome(felt, 1.0, None, [], False),),
+        "thickness": exploration_result.LayerThickness(0.05, 0.0, "stated"),
+        "truth": exploration_result.TruthScore(3, 0.513, 0.046),
+        "touches": (exploration_result.TouchOutcome(felt, 1.0, None, [], False),),
         "lumps": None,
         "missed": None,
         "failures": (),
@@ -62,7 +56,7 @@ def found_with(**changed: Any) -> ExplorationResult:
         "fault": None,
         "laboratory": None,
     }
-    return ExplorationResult(**(given | changed))
+    return exploration_result.ExplorationResult(**(given | changed))
 
 
 def test_every_number_has_its_meaning() -> None:
@@ -127,7 +121,9 @@ def test_the_thesiss_rule_has_no_probability_of_its_own() -> None:
     ],
 )
 def test_what_beta_says_follows_its_values(betas: tuple[float, ...], verdict: str, words: str) -> None:
-    said = format_betas([dataclasses.replace(touch(0), beta=beta, beta_verdict=verdict) for beta in betas])
+    said = exploration_result.format_betas(
+        [dataclasses.replace(touch(0), beta=beta, beta_verdict=verdict) for beta in betas]
+    )
     assert said.startswith(words)
     assert said.endswith("by stiffness (interval at the end of its range: 2 touches)") == (betas == (0.93, 0.95))
 
@@ -152,7 +148,7 @@ def test_touches_are_counted_and_the_time_left_is_said(capsys: pytest.CaptureFix
 
 
 def test_touches_stand_in_a_table_of_what_was_measured_of_any() -> None:
-    touches = tuple(TouchOutcome(touch(number), 1.0, None, [], False) for number in range(2))
+    touches = tuple(exploration_result.TouchOutcome(touch(number), 1.0, None, [], False) for number in range(2))
     _, table = found_with(touches=touches).tables()
     assert table.names == ("touch", "stiffness", "dent", "modulus", "peak force rate")
     assert [row[0] for row in table.rows] == ["1", "2"]
@@ -163,7 +159,7 @@ def test_touches_stand_in_a_table_of_what_was_measured_of_any() -> None:
 
 def test_the_peak_force_rate_of_a_touch_is_shown_with_its_interval_everywhere() -> None:
     measured, without = touch(0), dataclasses.replace(touch(0), peak_rate_n_per_s=None, peak_rate_interval_n_per_s=None)
-    found = found_with(touches=(TouchOutcome(measured, 1.0, None, [], False),))
+    found = found_with(touches=(exploration_result.TouchOutcome(measured, 1.0, None, [], False),))
     (one,) = found.to_dict()["touches"]
     assert (one["peak_rate_n_per_s"], one["peak_rate_interval_n_per_s"]) == (6.0, [5.5, 6.5])
     assert found.to_dict()["units"]["peak_rate_n_per_s"] == "N/s"

@@ -6,17 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from deformscope.arrays import FloatArray
-from deformscope.stages.map.exploration import (
-    DetectionLimit,
-    ExplorationStop,
-    InclusionsResult,
-    MapEstimate,
-    PhaseStart,
-    PlannedTouch,
-    StageFailure,
-    SurfaceEstimate,
-    TouchEstimate,
-)
+from deformscope.stages.map import exploration
 
 CELL_M = 0.005
 ROWS, COLUMNS = 80, 120
@@ -28,17 +18,19 @@ CONTACTS_M = np.array(
     [*((0.15, 0.1), (0.45, 0.3), (0.45, 0.1), (0.15, 0.3)), *((0.3, 0.2), (0.26, 0.34), (0.33, 0.06), (0.31, 0.29))]
 )
 
-MISSED = DetectionLimit(0.13, np.array([0.13, 0.2]), np.array([0.03, 0.06]), np.array([0.46, 0.31]), 2.0, 0.5)
+MISSED = exploration.DetectionLimit(
+    0.13, np.array([0.13, 0.2]), np.array([0.03, 0.06]), np.array([0.46, 0.31]), 2.0, 0.5
+)
 Y, X = (np.mgrid[:ROWS, :COLUMNS] + 0.5) * CELL_M
 EDGE_M = 0.3 - 0.15 * (Y - 0.2)
 TRUTH = (EDGE_M < X).astype(np.int64)
 
 
-def lumps(*found: tuple[float, float, float], truth: bool = True) -> InclusionsResult:
+def lumps(*found: tuple[float, float, float], truth: bool = True) -> exploration.InclusionsResult:
     """Lumps at x, y of a radius [m] after eight touches."""
     each, none = np.array(found).reshape(-1, 3), np.zeros(len(found))
     above = [np.hypot(X - x, Y - y) < radius for x, y, radius in each]
-    return InclusionsResult(
+    return exploration.InclusionsResult(
         centre_m=each[:, :2],
         within_m=none + 0.01,
         radius_m=each[:, 2],
@@ -70,17 +62,17 @@ def height(dents: int) -> FloatArray:
     return top
 
 
-def surface(dents: int, points: int = 4000) -> SurfaceEstimate:
+def surface(dents: int, points: int = 4000) -> exploration.SurfaceEstimate:
     rng = np.random.default_rng(dents)
     x, y = rng.uniform(0, 0.6, points), rng.uniform(0, 0.4, points)
     seen = ~((x - 0.42) ** 2 + (y - 0.33) ** 2 < 0.03**2)
     x, y = x[seen], y[seen]
     z = height(dents)[(y / CELL_M).astype(int), (x / CELL_M).astype(int)] + rng.normal(0, 0.001, len(x))
     deviation = 0.0003 + 0.002 * np.exp(-((X - 0.42) ** 2 + (Y - 0.33) ** 2) / 0.03**2)
-    return SurfaceEstimate(np.stack([x, y, z], axis=1), height(dents), deviation, CELL_M)
+    return exploration.SurfaceEstimate(np.stack([x, y, z], axis=1), height(dents), deviation, CELL_M)
 
 
-def touch(number: int) -> TouchEstimate:
+def touch(number: int) -> exploration.TouchEstimate:
     rng = np.random.default_rng(1000 + number)
     x, y = CONTACTS_M[number]
     stiffness = FIRM if TRUTH[int(y / CELL_M), int(x / CELL_M)] else SOFT
@@ -103,7 +95,7 @@ def touch(number: int) -> TouchEstimate:
         )
         for layer in range(3)
     ]
-    return TouchEstimate(
+    return exploration.TouchEstimate(
         number=number + 1,
         xyz_m=np.array([x, y, z]),
         normal=np.array([0.05, -0.03, 0.998]) / np.linalg.norm([0.05, -0.03, 0.998]),
@@ -132,7 +124,7 @@ def _nearest_m(touches: int) -> FloatArray:
     return np.min([np.hypot(X - x, Y - y) for x, y in CONTACTS_M[:touches]], axis=0)
 
 
-def maps(touches: int, truth: bool = True) -> MapEstimate:
+def maps(touches: int, truth: bool = True) -> exploration.MapEstimate:
     log_sd = 0.7 - 0.6 * np.exp(-((_nearest_m(touches) / 0.09) ** 2))
     found = touches >= 2
     edge = EDGE_M + 0.12 / touches * np.sin(13 * Y)
@@ -143,7 +135,7 @@ def maps(touches: int, truth: bool = True) -> MapEstimate:
     levels = np.array([SOFT, FIRM])[:count]
     both = [((labels == label), np.equal(TRUTH, label)) for label in (0, 1)]
     values = [np.mean(one & other) / np.mean(one | other) for one, other in both]
-    return MapEstimate(
+    return exploration.MapEstimate(
         touches=touches,
         cell_m=CELL_M,
         stiffness_n_per_mm=np.exp(log_stiffness),
@@ -167,7 +159,7 @@ def maps(touches: int, truth: bool = True) -> MapEstimate:
     )
 
 
-def gradual(touches: int) -> MapEstimate:
+def gradual(touches: int) -> exploration.MapEstimate:
     """A map without regions."""
     known = maps(touches, truth=False)
     none = np.zeros(0)
@@ -182,46 +174,46 @@ def gradual(touches: int) -> MapEstimate:
     )
 
 
-def plan(touches: int) -> PlannedTouch:
+def plan(touches: int) -> exploration.PlannedTouch:
     x, y = CONTACTS_M[touches - 1] if touches else (0.3, 0.0)
     excluded = (X < 0.02) | (X > 0.58) | (Y < 0.02) | (Y > 0.38) | (np.hypot(X - 0.6, Y - 0.4) < 0.12)
     cost_s = 6.0 + np.hypot(X - x, Y - y) / 0.1
     if touches == 0:
-        return PlannedTouch(
+        return exploration.PlannedTouch(
             CONTACTS_M[0].copy(), None, None, excluded, "first touches spread over the surface", missed=MISSED
         )
     gain = (0.05 + 0.6 * np.exp(-(((X - EDGE_M) / 0.06) ** 2))) * (1 - np.exp(-((_nearest_m(touches) / 0.06) ** 2)))
     if touches == len(CONTACTS_M):
         stop = "the regions are sure: no cell is expected to tell 0.02 or more"
-        return PlannedTouch(None, 0.03 * gain, cost_s, excluded, "", stop)
+        return exploration.PlannedTouch(None, 0.03 * gain, cost_s, excluded, "", stop)
     reason = "here the regions are the least sure for the time it takes: expected gain 0.41 in 7.3 s"
-    return PlannedTouch(CONTACTS_M[touches].copy(), gain, cost_s, excluded, reason)
+    return exploration.PlannedTouch(CONTACTS_M[touches].copy(), gain, cost_s, excluded, reason)
 
 
 def story() -> Iterator[tuple[float, int, object]]:
     """(time [s], touch, result) of the whole exploration, in order."""
-    yield 0.0, 0, PhaseStart("look", 0)
+    yield 0.0, 0, exploration.PhaseStart("look", 0)
     yield 1.0, 0, surface(0)
-    yield 1.1, 0, PhaseStart("plan", 0)
+    yield 1.1, 0, exploration.PhaseStart("plan", 0)
     yield 1.4, 0, plan(0)
     for number in range(len(CONTACTS_M)):
         start, k = 1.5 + TOUCH_S * number, number + 1
         for after, phase in ((0.0, "travel"), (1.5, "approach"), (2.3, "press"), (3.0, "dwell"), (4.0, "look")):
-            yield start + after, k, PhaseStart(phase, number)
-        yield start + 4.3, k, PhaseStart("retreat", number)
+            yield start + after, k, exploration.PhaseStart(phase, number)
+        yield start + 4.3, k, exploration.PhaseStart("retreat", number)
         yield start + 5.0, k, surface(k)
-        yield start + 5.1, k, PhaseStart("plan", number)
+        yield start + 5.1, k, exploration.PhaseStart("plan", number)
         yield start + 5.2, k, touch(number)
         yield start + 5.5, k, maps(k)
         yield start + 5.7, k, plan(k)
-    yield 1.5 + TOUCH_S * len(CONTACTS_M), len(CONTACTS_M), PhaseStart("stopped", len(CONTACTS_M) - 1)
+    yield 1.5 + TOUCH_S * len(CONTACTS_M), len(CONTACTS_M), exploration.PhaseStart("stopped", len(CONTACTS_M) - 1)
 
 
-def rigid_touch(number: int) -> TouchEstimate:
+def rigid_touch(number: int) -> exploration.TouchEstimate:
     return dataclasses.replace(touch(number), rigid=True, modulus_pa=None, stiffness_interval=(21.0, np.inf))
 
 
-def unusable_touch(number: int) -> TouchEstimate:
+def unusable_touch(number: int) -> exploration.TouchEstimate:
     """Its contact could not be fitted."""
     nan = float("nan")
     told = dataclasses.replace(touch(number), contact_m=nan, stiffness_n_per_mm=nan, stiffness_interval=(nan, nan))
@@ -229,10 +221,10 @@ def unusable_touch(number: int) -> TouchEstimate:
     return dataclasses.replace(told, depth_m=nan, modulus_pa=None, beta=None, beta_interval=None, fitted_n=unfitted)
 
 
-def bare_touch() -> TouchEstimate:
+def bare_touch() -> exploration.TouchEstimate:
     """A touch to which no beta was fitted, with nothing seen around its dent."""
     way, nothing = np.linspace(0.0, 0.01, 5), np.zeros((0, 3))
-    return TouchEstimate(
+    return exploration.TouchEstimate(
         number=1,
         xyz_m=np.zeros(3),
         normal=np.array([0.0, 0.0, 1.0]),
@@ -262,10 +254,13 @@ def small_results() -> tuple[object, ...]:
     cloud = np.ones((3, 3))
     touch = dataclasses.replace(bare_touch(), observed_m=cloud, simulated_m=cloud)
     levels, intervals, rigid = np.ones(2), np.ones((2, 2)), np.zeros(2, np.bool_)
-    maps = MapEstimate(
+    maps = exploration.MapEstimate(
         *(1, 0.005, field, field, field, field, labels, field, 2, "regions", 0.9, levels, intervals, rigid),
         *(at[None, :2], 0.01, 0.1, labels, 1.0),
     )
-    plan = PlannedTouch(at[:2], field, field, labels == 1, "")
-    seen, stop = SurfaceEstimate(cloud, field, field, 0.005), ExplorationStop("", "", "", "stop", 0)
-    return seen, touch, maps, plan, StageFailure("", 1, "", ""), PhaseStart("look", 0), stop
+    plan = exploration.PlannedTouch(at[:2], field, field, labels == 1, "")
+    seen, stop = (
+        exploration.SurfaceEstimate(cloud, field, field, 0.005),
+        exploration.ExplorationStop("", "", "", "stop", 0),
+    )
+    return seen, touch, maps, plan, exploration.StageFailure("", 1, "", ""), exploration.PhaseStart("look", 0), stop

@@ -6,20 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deformscope.frames import (
-    ArmFrame,
-    ColorFrame,
-    DepthFrame,
-    HandFrame,
-    HealthReport,
-    Item,
-    LinkChange,
-    Pad,
-    RawBytes,
-    Stream,
-    TactileFrame,
-    WrenchFrame,
-)
+from deformscope import frames
 from deformscope_drivers.clock import ClockRelation, Stamp
 from deformscope_drivers.health import Health, Link, LinkEvent
 
@@ -27,17 +14,17 @@ START_NS = 81_234_567_890_123
 FULL_SCALE_PA = 3271.2
 PA_PER_COUNT = FULL_SCALE_PA / 4095
 PADS = tuple(
-    Pad(f"{finger}_{part}", rows, 6, (0.0034, 0.0034), 2 * place + row, place, row)
+    frames.Pad(f"{finger}_{part}", rows, 6, (0.0034, 0.0034), 2 * place + row, place, row)
     for place, finger in enumerate(("finger_0", "thumb", "finger_2"))
     for row, (part, rows) in enumerate((("proximal", 14), ("distal", 13)))
 )
 STREAMS = (
-    Stream("fingertip", "wrench", "optoforce", simulated=True, serial="ISE014", fastest_hz=1000.0),
-    Stream("skin", "tactile", "dsa", simulated=True, pads=PADS, fastest_hz=12.0, full_scale_pa=FULL_SCALE_PA),
-    Stream("jaco", "arm", "jaco", simulated=True, fastest_hz=100.0),
-    Stream("hand", "hand", "sdh", fastest_hz=10.0),
-    Stream("front", "color", "webcam", fastest_hz=30.0),
-    Stream("above", "depth", "openni", simulated=True, fastest_hz=30.0),
+    frames.Stream("fingertip", "wrench", "optoforce", simulated=True, serial="ISE014", fastest_hz=1000.0),
+    frames.Stream("skin", "tactile", "dsa", simulated=True, pads=PADS, fastest_hz=12.0, full_scale_pa=FULL_SCALE_PA),
+    frames.Stream("jaco", "arm", "jaco", simulated=True, fastest_hz=100.0),
+    frames.Stream("hand", "hand", "sdh", fastest_hz=10.0),
+    frames.Stream("front", "color", "webcam", fastest_hz=30.0),
+    frames.Stream("above", "depth", "openni", simulated=True, fastest_hz=30.0),
 )
 
 
@@ -45,12 +32,12 @@ def ns(time_s: float) -> int:
     return START_NS + round(time_s * 1e9)
 
 
-def wrench(index: int, device: str = "fingertip", channels: int = 1, torque: bool = False) -> WrenchFrame:
+def wrench(index: int, device: str = "fingertip", channels: int = 1, torque: bool = False) -> frames.WrenchFrame:
     time_s = index / 1000
     depth = max(0.0, math.sin(2 * math.pi * time_s / 4)) ** 2
     force = np.array([[0.4 * math.sin(7 * time_s), 0.3 * depth, -3.1 * depth]]) + 0.01 * math.sin(1e3 * time_s)
     force_n = np.concatenate([force * (1 + channel) for channel in range(channels)])
-    return WrenchFrame(
+    return frames.WrenchFrame(
         stamp=Stamp(ns(time_s) + index % 7, index * 3),
         index=index,
         counts=np.rint(force_n.ravel() * 1000).astype(np.int64),
@@ -62,7 +49,7 @@ def wrench(index: int, device: str = "fingertip", channels: int = 1, torque: boo
     )
 
 
-def tactile(index: int, device: str = "skin", rate_hz: float = 12.0) -> TactileFrame:
+def tactile(index: int, device: str = "skin", rate_hz: float = 12.0) -> frames.TactileFrame:
     time_s = index / rate_hz
     closing = 0.5 - 0.5 * math.cos(2 * math.pi * time_s / 8)
     counts = []
@@ -71,7 +58,7 @@ def tactile(index: int, device: str = "skin", rate_hz: float = 12.0) -> TactileF
         middle = (pad.rows / 2 + 2 * math.sin(time_s + pad.index), 2.5 + 0.8 * math.cos(time_s))
         near = np.exp(-((y - middle[0]) ** 2 / 9 + (x - middle[1]) ** 2 / 3))
         counts.append(np.rint(4095 * near * closing * (1.0 if pad.part else 0.45)).astype(np.uint16))
-    return TactileFrame(
+    return frames.TactileFrame(
         stamp=Stamp(ns(time_s), index * 83),
         index=index,
         counts=np.concatenate([pad.ravel() for pad in counts]),
@@ -80,12 +67,12 @@ def tactile(index: int, device: str = "skin", rate_hz: float = 12.0) -> TactileF
     )
 
 
-def arm(index: int, device: str = "jaco") -> ArmFrame:
+def arm(index: int, device: str = "jaco") -> frames.ArmFrame:
     time_s = index / 100
     swing = math.sin(2 * math.pi * time_s / 10)
     rest = np.array([275.0, 165.0, 75.0, 280.0, 80.0, 75.0])
     velocity = 20 * 2 * math.pi / 10 * math.cos(2 * math.pi * time_s / 10)
-    return ArmFrame(
+    return frames.ArmFrame(
         stamp=Stamp(ns(time_s)),
         index=index,
         joint_deg=rest + swing * np.array([40.0, 15.0, 12.0, 20.0, -20.0, 30.0]),
@@ -101,10 +88,10 @@ def arm(index: int, device: str = "jaco") -> ArmFrame:
     )
 
 
-def hand(index: int, device: str = "hand") -> HandFrame:
+def hand(index: int, device: str = "hand") -> frames.HandFrame:
     time_s = index / 10
     closed = 0.5 - 0.5 * math.cos(2 * math.pi * time_s / 8)
-    return HandFrame(
+    return frames.HandFrame(
         stamp=Stamp(ns(time_s), None),
         index=index,
         position_deg=closed * np.array([60.0, -30.0, 40.0, -25.0, 45.0, -20.0, 35.0]),
@@ -115,14 +102,16 @@ def hand(index: int, device: str = "hand") -> HandFrame:
     )
 
 
-def color(index: int, device: str = "front", size: tuple[int, int] = (480, 640)) -> ColorFrame:
+def color(index: int, device: str = "front", size: tuple[int, int] = (480, 640)) -> frames.ColorFrame:
     y, x = np.mgrid[: size[0], : size[1]]
     turn = index / 20
     image = np.stack([x * 255 / size[1], y * 255 / size[0], 128 + 100 * np.sin(x / 40 + turn)], axis=-1)
-    return ColorFrame(Stamp(ns(index / 30), index), index, image.astype(np.uint8), device)
+    return frames.ColorFrame(Stamp(ns(index / 30), index), index, image.astype(np.uint8), device)
 
 
-def depth(index: int, device: str = "above", size: tuple[int, int] = (480, 640), colored: bool = False) -> DepthFrame:
+def depth(
+    index: int, device: str = "above", size: tuple[int, int] = (480, 640), colored: bool = False
+) -> frames.DepthFrame:
     y, x = np.mgrid[: size[0], : size[1]]
     rng = np.random.default_rng(index)
     place = size[1] * (0.5 + 0.2 * math.sin(index / 20))
@@ -130,13 +119,13 @@ def depth(index: int, device: str = "above", size: tuple[int, int] = (480, 640),
     seen = np.rint(720 - hill + 0.05 * y + rng.normal(0, 1.0, size)).astype(np.uint16)
     seen[rng.random(size) < 0.01] = 0
     tint = color(index, size=size).image if colored else None
-    return DepthFrame(Stamp(ns(index / 30) + 1, None), index, seen, 0.001, tint, device)
+    return frames.DepthFrame(Stamp(ns(index / 30) + 1, None), index, seen, 0.001, tint, device)
 
 
-def health(time_s: float) -> HealthReport:
+def health(time_s: float) -> frames.HealthReport:
     lost = 4.0 < time_s < 6.0
     clock = ClockRelation(1e6 / 7, ns(0.0) - 0.1, 12.5, 2034.7, 9)
-    return HealthReport(
+    return frames.HealthReport(
         ns(time_s),
         (
             (
@@ -171,24 +160,24 @@ def health(time_s: float) -> HealthReport:
     )
 
 
-def raw(index: int, device: str = "fingertip") -> list[RawBytes]:
+def raw(index: int, device: str = "fingertip") -> list[frames.RawBytes]:
     """Sixteen bytes received, and now and then a command."""
-    received = RawBytes(ns(index / 1000), bytes((index * 7 + place) % 256 for place in range(16)), False, device)
+    received = frames.RawBytes(ns(index / 1000), bytes((index * 7 + place) % 256 for place in range(16)), False, device)
     return (
-        [received, RawBytes(ns(index / 1000) + 5, b"\xaa\x00\x32\x03", True, device)]
+        [received, frames.RawBytes(ns(index / 1000) + 5, b"\xaa\x00\x32\x03", True, device)]
         if index % 250 == 0
         else [received]
     )
 
 
-def links() -> list[Item]:
+def links() -> list[frames.Item]:
     told = [(0.0, Link.CONNECTED, ""), (4.0, Link.LOST, "cable pulled out"), (6.0, Link.CONNECTED, "back")]
-    return [LinkChange(LinkEvent(ns(at), link, why), "hand") for at, link, why in told]
+    return [frames.LinkChange(LinkEvent(ns(at), link, why), "hand") for at, link, why in told]
 
 
-def items(seconds: float, size: tuple[int, int] = (480, 640)) -> list[Item]:
+def items(seconds: float, size: tuple[int, int] = (480, 640)) -> list[frames.Item]:
     """All devices for a while, in order of time."""
-    found: list[Item] = [*links()]
+    found: list[frames.Item] = [*links()]
     found += [wrench(index) for index in range(int(1000 * seconds))]
     found += [piece for index in range(int(1000 * seconds)) for piece in raw(index)]
     found += [tactile(index) for index in range(int(12 * seconds))]
@@ -200,15 +189,15 @@ def items(seconds: float, size: tuple[int, int] = (480, 640)) -> list[Item]:
     return sorted(found, key=host_ns)
 
 
-def host_ns(item: Item) -> int:
-    if isinstance(item, LinkChange):
+def host_ns(item: frames.Item) -> int:
+    if isinstance(item, frames.LinkChange):
         return item.event.host_ns
-    return item.host_ns if isinstance(item, RawBytes | HealthReport) else item.stamp.host_ns
+    return item.host_ns if isinstance(item, frames.RawBytes | frames.HealthReport) else item.stamp.host_ns
 
 
-def batches(found: list[Item], seconds: float = 0.1) -> Iterator[list[Item]]:
+def batches(found: list[frames.Item], seconds: float = 0.1) -> Iterator[list[frames.Item]]:
     """The items in portions, as a recorder takes them."""
-    by_portion: dict[int, list[Item]] = {}
+    by_portion: dict[int, list[frames.Item]] = {}
     for item in found:
         by_portion.setdefault(int((host_ns(item) - START_NS) / (seconds * 1e9)), []).append(item)
     yield from (by_portion[portion] for portion in sorted(by_portion))

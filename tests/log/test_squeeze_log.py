@@ -18,16 +18,8 @@ from deformscope.pictures.depth_change import depth_change_png
 from deformscope.recording.items import read_results
 from deformscope.recording.recorder import Recorder
 from deformscope.session import Moment, Step
+from deformscope.stages.squeeze import trial
 from deformscope.stages.squeeze.events import SqueezeEvents
-from deformscope.stages.squeeze.trial import (
-    ContainerChange,
-    ContentPosterior,
-    FingertipPressure,
-    SqueezeFeatures,
-    SqueezePhase,
-    SqueezeStop,
-    TrackedContainer,
-)
 
 PADS = tuple(
     Pad(f"finger_{finger}_{part}", 13, 6, (0.0034, 0.0034), 2 * finger + at, finger, at)
@@ -37,9 +29,9 @@ PADS = tuple(
 STREAM = Stream("pads", "tactile", "dsa", True, pads=PADS)
 CHANGE = np.where(np.arange(3721).reshape(61, 61) % 7 == 0, np.nan, 0.004)
 RESULTS = (
-    SqueezePhase("close"),
+    trial.SqueezePhase("close"),
     SqueezeEvents(5, (1, 6), 9, (7, 12), np.array([5, 0]), 0.04, 0.02, 40.0),
-    FingertipPressure(
+    trial.FingertipPressure(
         3,
         np.array([[0.01, 0.02], [np.nan, np.nan]]),
         np.array([0.5, np.nan]),
@@ -47,9 +39,13 @@ RESULTS = (
         np.array([1.5, 0.0]),
         np.array([2e-4, 0.0]),
     ),
-    TrackedContainer(7, np.eye(4), False, "too few pixels", np.ones(6), 0.7, np.arange(8.0).reshape(2, 2, 2), 0.3),
-    ContainerChange(7, 0.3, "", CHANGE.astype(np.float32), CHANGE[:11, :11], np.array([3.0, 4.0]), 0.11, 0.14, 2e-3),
-    SqueezeFeatures(
+    trial.TrackedContainer(
+        7, np.eye(4), False, "too few pixels", np.ones(6), 0.7, np.arange(8.0).reshape(2, 2, 2), 0.3
+    ),
+    trial.ContainerChange(
+        7, 0.3, "", CHANGE.astype(np.float32), CHANGE[:11, :11], np.array([3.0, 4.0]), 0.11, 0.14, 2e-3
+    ),
+    trial.SqueezeFeatures(
         np.arange(72.0),
         np.r_[1.0, np.nan, np.arange(11.0)],
         np.arange(2.0),
@@ -60,8 +56,8 @@ RESULTS = (
         patch_px=np.array([30.0, 40.0]),
         patch_width_m=0.11,
     ),
-    ContentPosterior(0.4, "tactile", ("empty", "rice"), np.array([0.25, 0.75]), 12),
-    SqueezeStop("tactile array saturated", "a texel at 4095 counts", "a lower current", True, False),
+    trial.ContentPosterior(0.4, "tactile", ("empty", "rice"), np.array([0.25, 0.75]), 12),
+    trial.SqueezeStop("tactile array saturated", "a texel at 4095 counts", "a lower current", True, False),
 )
 
 

@@ -13,16 +13,7 @@ from typing import Any
 import pytest
 import rerun as rr
 
-from deformscope.page.server.messages import (
-    BeginEpisode,
-    DeviceState,
-    DriftState,
-    Outcome,
-    PageCommand,
-    StopRun,
-    TareDevice,
-    WriteNote,
-)
+from deformscope.page.server import messages
 from deformscope.page.server.page_server import PageServer
 from deformscope.recording.live import page_stream
 from tests.page.pages import page_script
@@ -31,8 +22,8 @@ from tests.patience import PATIENCE_S
 CHROMIUM = Path(os.environ.get("CHROMIUM", "/usr/bin/chromium"))
 FLAGS = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
 DEVICES = (
-    DeviceState("tip", "ok", simulated=True, rate_hz=1000.0, age_s=0.001, lost=3),
-    DeviceState("<b>pads</b>", "LOST", reason="unplugged"),
+    messages.DeviceState("tip", "ok", simulated=True, rate_hz=1000.0, age_s=0.001, lost=3),
+    messages.DeviceState("<b>pads</b>", "LOST", reason="unplugged"),
 )
 
 
@@ -40,9 +31,9 @@ class Obeyed:
     """What pages asked for."""
 
     def __init__(self) -> None:
-        self.commands: list[PageCommand] = []
+        self.commands: list[messages.PageCommand] = []
 
-    def handle(self, command: PageCommand) -> tuple[Outcome, str]:
+    def handle(self, command: messages.PageCommand) -> tuple[messages.Outcome, str]:
         self.commands.append(command)
         return "done", ""
 
@@ -150,12 +141,12 @@ def test_keys_and_buttons_are_commands(page: PageServer, shown: Any) -> None:
     until(shown, lambda: len(run.commands) == 6)
     match run.commands:
         case [
-            StopRun(),
-            WriteNote(text="soft here"),
-            TareDevice(device="tip"),
-            StopRun(),
-            BeginEpisode(label="left"),
-            StopRun(),
+            messages.StopRun(),
+            messages.WriteNote(text="soft here"),
+            messages.TareDevice(device="tip"),
+            messages.StopRun(),
+            messages.BeginEpisode(label="left"),
+            messages.StopRun(),
         ]:
             pass
         case other:
@@ -184,19 +175,22 @@ PLACES = """(() => [
 def test_nothing_moves_while_values_and_reasons_change(page: PageServer, shown: Any, size: tuple[int, int]) -> None:
     fake_viewer(shown)
     shown.set_viewport_size({"width": size[0], "height": size[1]})
-    quiet = (DeviceState("tip", "ok", drift=DriftState(0.0, "", (), ())), DeviceState("pads", "ok"))
+    quiet = (
+        messages.DeviceState("tip", "ok", drift=messages.DriftState(0.0, "", (), ())),
+        messages.DeviceState("pads", "ok"),
+    )
     page.session.enter("live", commands=("stop", "start-recording", "tare"), devices=quiet)
     shown.goto(page.address)
     until(shown, lambda: shown.inner_text("#devices").startswith("tip"))
     before = shown.evaluate(PLACES)
     assert len(before) > 8
     reason = "saturated: fz at the end of its range; stuck at the same count: fx; the cable may be loose " * 3
-    drift = DriftState(4000.0, "counts", (12345.6, -12345.6, 12345.6), (0.0, 21000.0))
+    drift = messages.DriftState(4000.0, "counts", (12345.6, -12345.6, 12345.6), (0.0, 21000.0))
     loud = (
-        DeviceState(
+        messages.DeviceState(
             "tip", "saturated", simulated=True, rate_hz=12345.0, age_s=99.9, lost=10**7, reason=reason, drift=drift
         ),
-        DeviceState("pads", "LOST", refused=10**6, reason=reason),
+        messages.DeviceState("pads", "LOST", refused=10**6, reason=reason),
     )
     page.session.enter("live", reason, commands=("stop", "tare"), devices=loud)  # a file is being closed meanwhile
     with page_script(page, "other") as other:
@@ -288,7 +282,7 @@ def test_the_viewer_draws(page: PageServer, shown: Any) -> None:
     shown.mouse.click(640, 400)  # the viewer has the keys now
     shown.keyboard.press(" ")
     until(shown, lambda: run.commands)
-    assert isinstance(run.commands[0], StopRun)
+    assert isinstance(run.commands[0], messages.StopRun)
     stream.disconnect()
     # rerun's viewer asks the internet for new versions, and reports on its use: the page's policy lets neither through
     blocked = ("Content Security Policy", "violates", "Failed to fetch")

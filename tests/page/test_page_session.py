@@ -9,16 +9,7 @@ from contextlib import suppress
 import pytest
 from websockets.sync.client import connect
 
-from deformscope.page.server.messages import (
-    CancelMove,
-    ConfirmMove,
-    Outcome,
-    PageCommand,
-    SeeMove,
-    TakeControls,
-    TareDevice,
-    WriteNote,
-)
+from deformscope.page.server import messages
 from deformscope.page.server.page_server import PageServer
 from deformscope.page.server.page_session import BEAT_S, CONFIRM_S, NEXT, PageSession
 from tests.page.pages import PageScript, netloc, page_script, root
@@ -31,12 +22,12 @@ class Notebook:
     def __init__(self) -> None:
         self.notes: list[str] = []
 
-    def handle(self, command: PageCommand) -> tuple[Outcome, str]:
+    def handle(self, command: messages.PageCommand) -> tuple[messages.Outcome, str]:
         match command:
-            case WriteNote():
+            case messages.WriteNote():
                 self.notes.append(command.text)
                 return "done", "noted"
-            case TareDevice():
+            case messages.TareDevice():
                 raise RuntimeError("the sensor\nmoves")
             case _:
                 return "done", "stopped"
@@ -170,7 +161,10 @@ class Moves:
         return self.session.state.pending.number
 
     def say(
-        self, page: str, number: int, kind: type[ConfirmMove | CancelMove | SeeMove] = ConfirmMove
+        self,
+        page: str,
+        number: int,
+        kind: type[messages.ConfirmMove | messages.CancelMove | messages.SeeMove] = messages.ConfirmMove,
     ) -> tuple[str, str]:
         reply = self.session.command(page, kind(1, number))
         return reply.outcome, reply.words
@@ -200,14 +194,14 @@ def test_the_time_of_a_question_counts_from_when_it_was_drawn_once() -> None:
     moves = Moves()
     moves.now_s += CONFIRM_S + 5.0
     moves.session.beat("a", visible=True)
-    assert moves.say("b", 1, SeeMove)[0] == "refused"  # it does not steer
-    assert moves.say("a", 1, SeeMove)[0] == "done"
+    assert moves.say("b", 1, messages.SeeMove)[0] == "refused"  # it does not steer
+    assert moves.say("a", 1, messages.SeeMove)[0] == "done"
     moves.now_s += CONFIRM_S - 0.1
-    assert moves.say("a", 1, SeeMove)[0] == "refused"  # seen before
+    assert moves.say("a", 1, messages.SeeMove)[0] == "refused"  # seen before
     moves.session.beat("a", visible=True)
     assert moves.say("a", 1) == ("done", "the arm")
     moves.ask()
-    assert moves.say("a", 2, SeeMove)[0] == "done"
+    assert moves.say("a", 2, messages.SeeMove)[0] == "done"
     moves.now_s += CONFIRM_S
     moves.session.beat("a", visible=True)
     assert moves.say("a", 2)[0] == "refused"
@@ -225,7 +219,7 @@ def test_what_nobody_answers_is_let_be(monkeypatch: pytest.MonkeyPatch) -> None:
     for number, waits in enumerate(let_be, 1):
         session.ask("the arm", lambda: None, lambda reason, waits=waits: waits.set())  # type: ignore[misc]
         if number == 2:
-            assert session.command("a", SeeMove(1, number)).outcome == "done"
+            assert session.command("a", messages.SeeMove(1, number)).outcome == "done"
             assert not waits.wait(0.06)  # as long as what nobody has seen
         assert waits.wait(PATIENCE_S)
         assert session.state.pending is None
@@ -236,9 +230,9 @@ def test_nothing_else_moves_by_a_confirm() -> None:
     moves = Moves()
     assert moves.ask() == 2
     assert moves.say("a", 1)[0] == "refused"
-    assert moves.say("a", 2, CancelMove) == ("done", "nothing moves")
+    assert moves.say("a", 2, messages.CancelMove) == ("done", "nothing moves")
     assert moves.ask() == 3
-    moves.session.command("b", TakeControls(1))
+    moves.session.command("b", messages.TakeControls(1))
     assert moves.say("b", 3)[0] == "refused"
     assert moves.happened == [
         "another move was requested",
@@ -267,7 +261,7 @@ def test_whether_the_page_that_steers_is_there() -> None:
     assert session.absent() == "no heartbeat of the page for 310 ms"
     session.beat("b", visible=True)
     assert session.absent() != ""  # it does not steer
-    session.command("b", TakeControls(1))
+    session.command("b", messages.TakeControls(1))
     assert session.absent() == ""
     session.leave("b")
     assert session.absent() == "no page has the controls"

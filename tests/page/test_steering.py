@@ -11,18 +11,7 @@ import pytest
 from deformscope.experiments.explore.explore import ExplorationStopped
 from deformscope.experiments.explore.touching_robot import CheckFirst
 from deformscope.interruption import Interruption
-from deformscope.page.server.messages import (
-    ConfirmMove,
-    PageCommand,
-    PauseExploring,
-    StartExploring,
-    StopRun,
-    TakeControls,
-    TouchAt,
-    TouchNext,
-    TouchPicked,
-    VetoTouch,
-)
+from deformscope.page.server import messages
 from deformscope.page.server.page_session import CONFIRM_S, PageSession
 from deformscope.page.steering import PageSteering, add_measured, curve_of, is_surface
 from deformscope.robot.finger import FINGER
@@ -78,12 +67,12 @@ class Steered:
     def beat(self) -> None:
         self.session.beat("a", visible=True)
 
-    def say(self, kind: Callable[..., PageCommand], *fields: object) -> tuple[str, str]:
+    def say(self, kind: Callable[..., messages.PageCommand], *fields: object) -> tuple[str, str]:
         reply = self.session.command("a", kind(1, *fields))
         return reply.outcome, reply.words
 
     def confirm(self) -> str:
-        return self.say(ConfirmMove, self.session.state.pending.number)[0]
+        return self.say(messages.ConfirmMove, self.session.state.pending.number)[0]
 
 
 def planned(x_m: float = 0.15) -> PlannedTouch:
@@ -108,7 +97,7 @@ def test_a_real_arm_begins_once_somebody_confirms_it_on_the_page(monkeypatch: py
     steered.steering.wait_for("up to 8 touches of 3 N")
     question = operator.RunOperator(steered.ended, steered.steering.is_agreed).line("?")
     next(question)
-    assert steered.say(StartExploring)[0] == "begun"
+    assert steered.say(messages.StartExploring)[0] == "begun"
     next(question)
     assert steered.session.state.pending.what == "arm continues: up to 8 touches of 3 N"
     assert steered.confirm() == "done"
@@ -141,7 +130,7 @@ def pressed(scene: FaultScene, at: int, *, looked: bool) -> int:
                 watch()
             if now and turn is looked:
                 received.append(len(robot.commanded))
-                assert steered.say(StopRun) == ("done", "the arm stops")
+                assert steered.say(messages.StopRun) == ("done", "the arm stops")
 
     robot.watch = cycled
     up = 1.0 if scene.lab.contact.center_m[2] < 0.15 else -1.0
@@ -192,7 +181,7 @@ def test_stop_leaves_two_periods_at_most_in_200_presses(capsys: pytest.CaptureFi
 
 def test_stop_is_obeyed_from_any_page() -> None:
     steered = Steered()
-    assert steered.session.command("b", StopRun(1)).outcome == "done"
+    assert steered.session.command("b", messages.StopRun(1)).outcome == "done"
     assert steered.ended.is_set()
     assert steered.ended.by == "from the page"
 
@@ -201,7 +190,7 @@ def confirmed() -> Steered:
     """Somebody has confirmed a touch."""
     steered = Steered(paused=True)
     choice = steered.steering.choose(planned(), 0)
-    assert steered.say(TouchAt, 0.3, 0.2)[0] == "begun"
+    assert steered.say(messages.TouchAt, 0.3, 0.2)[0] == "begun"
     assert choice.result(0).kind == "touch"
     asked = steered.steering.confirm(FORECAST)
     assert not asked.done()
@@ -285,7 +274,7 @@ def test_who_is_pushed_away_may_go_whoever_watches() -> None:
 def test_what_was_not_confirmed_is_not_touched() -> None:
     steered = Steered(paused=True)
     steered.steering.choose(planned(), 0)
-    steered.say(TouchAt, 0.3, 0.2)
+    steered.say(messages.TouchAt, 0.3, 0.2)
     asked = steered.steering.confirm(FORECAST)
     state = steered.session.state
     assert state.pending.what == "arm goes to (30.0, 20.0) cm and presses with 3 N, along the normal there"
@@ -298,7 +287,7 @@ def test_what_was_not_confirmed_is_not_touched() -> None:
     assert [remark.words for remark in steered.session.state.remarks] == ["not confirmed within 10 s: nothing moved"]
     again = steered.steering.choose(planned(), 0)
     assert not again.done()
-    assert steered.say(VetoTouch)[0] == "begun"
+    assert steered.say(messages.VetoTouch)[0] == "begun"
     assert again.result(0).kind == "veto"
     assert again.result(0).xy_m.tolist() == [0.15, 0.2]
 
@@ -306,15 +295,15 @@ def test_what_was_not_confirmed_is_not_touched() -> None:
 def test_exploring_pauses_and_goes_on_after_a_confirm() -> None:
     steered = Steered()
     assert steered.session.state.phase == "exploring"
-    assert steered.say(TouchAt, 0.3, 0.2)[0] == "refused"
-    assert steered.say(PauseExploring) == ("done", "no further touch begins")
+    assert steered.say(messages.TouchAt, 0.3, 0.2)[0] == "refused"
+    assert steered.say(messages.PauseExploring) == ("done", "no further touch begins")
     assert steered.session.state.commands == ("stop", "explore")  # the touch under way is ended first
-    assert steered.say(StartExploring) == ("begun", "waits for a confirmation")
+    assert steered.say(messages.StartExploring) == ("begun", "waits for a confirmation")
     assert steered.session.state.phase == "paused"
     waits = steered.steering.choose(planned(), 1)
     assert "touch-next" in steered.session.state.commands
     assert steered.session.state.next_place is not None
-    assert steered.say(StartExploring) == ("begun", "waits for a confirmation")
+    assert steered.say(messages.StartExploring) == ("begun", "waits for a confirmation")
     assert not waits.done()
     assert steered.session.state.pending.what == "arm continues to touch on its own, 7 times more at most, with 3 N"
     assert steered.confirm() == "done"
@@ -325,12 +314,12 @@ def test_exploring_pauses_and_goes_on_after_a_confirm() -> None:
 def test_places_are_picked_on_the_surface_alone() -> None:
     steered = Steered(paused=True)
     choice = steered.steering.choose(None, 0)
-    assert steered.say(TouchNext)[0] == "refused"  # there is no plan
-    assert steered.say(TouchPicked, "/display/arm/arm/link_3", (0.3, 0.2, 0.2))[0] == "refused"
+    assert steered.say(messages.TouchNext)[0] == "refused"  # there is no plan
+    assert steered.say(messages.TouchPicked, "/display/arm/arm/link_3", (0.3, 0.2, 0.2))[0] == "refused"
     assert not choice.done()
-    assert steered.say(TouchPicked, "/display/scene/surface", (0.31, 0.2, 0.05))[0] == "begun"
+    assert steered.say(messages.TouchPicked, "/display/scene/surface", (0.31, 0.2, 0.05))[0] == "begun"
     assert choice.result(0).xy_m.tolist() == [0.31, 0.2]
-    assert steered.say(TouchAt, 0.1, 0.1)[0] == "refused"  # one at a time
+    assert steered.say(messages.TouchAt, 0.1, 0.1)[0] == "refused"  # one at a time
     assert is_surface("/display/scene/observed")
     assert not is_surface("/display/scene/base")
 
@@ -340,11 +329,11 @@ def test_a_stop_ends_what_is_waited_for() -> None:
         steered = Steered(paused=True)
         future = steered.steering.choose(planned(), 3)
         if waits == "confirm":
-            steered.say(TouchNext)
+            steered.say(messages.TouchNext)
             future = steered.steering.confirm(FORECAST)  # type: ignore[assignment]
         steered.steering.look()
         assert not future.done()
-        steered.say(StopRun)
+        steered.say(messages.StopRun)
         steered.steering.look()
         with pytest.raises(ExplorationStopped) as stopped:
             future.result(0)
@@ -354,10 +343,10 @@ def test_a_stop_ends_what_is_waited_for() -> None:
 def test_another_page_takes_over_and_what_waited_is_let_be() -> None:
     steered = Steered(paused=True)
     steered.steering.choose(planned(), 0)
-    steered.say(TouchNext)
+    steered.say(messages.TouchNext)
     asked = steered.steering.confirm(FORECAST)
     steered.session.come("b")
-    steered.session.command("b", TakeControls(1))
+    steered.session.command("b", messages.TakeControls(1))
     assert asked.result(0) is False
 
 

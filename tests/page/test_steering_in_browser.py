@@ -7,15 +7,7 @@ from typing import Any
 
 import pytest
 
-from deformscope.page.server.messages import (
-    ForceCurve,
-    Outcome,
-    PageCommand,
-    StartExploring,
-    StopRun,
-    TouchAt,
-    TouchPicked,
-)
+from deformscope.page.server import messages
 from deformscope.page.server.page_server import PageServer
 from tests.page.test_in_browser import Obeyed, browser, fake_viewer, shown, until
 
@@ -31,7 +23,7 @@ class Seen:
     def __init__(self, call: Callable[[], None]) -> None:
         self._call = call
 
-    def handle(self, command: PageCommand) -> tuple[Outcome, str]:
+    def handle(self, command: messages.PageCommand) -> tuple[messages.Outcome, str]:
         self._call()
         return "done", ""
 
@@ -62,7 +54,7 @@ def test_confirms_and_places(shown: Any) -> None:
             shown.keyboard.press(key)
             until(shown, lambda came=came: happened[-1:] == [came] and shown.is_hidden("#confirm"))
         assert len(happened) == 2
-        assert [type(one) for one in run.commands] == [StopRun, StopRun]
+        assert [type(one) for one in run.commands] == [messages.StopRun, messages.StopRun]
 
         # one that is refused for now still waits; its time counts from when it was drawn; that it was let be is said
         happened.clear()
@@ -92,7 +84,11 @@ def test_confirms_and_places(shown: Any) -> None:
         shown.keyboard.press("x")
         until(shown, lambda: len(run.commands) == 5)
         match run.commands[2:]:
-            case [TouchAt(x_m=0.315, y_m=0.2), TouchPicked(position_m=(0.25, 0.125, 0.5)), StartExploring()]:
+            case [
+                messages.TouchAt(x_m=0.315, y_m=0.2),
+                messages.TouchPicked(position_m=(0.25, 0.125, 0.5)),
+                messages.StartExploring(),
+            ]:
                 pass
             case other:
                 raise AssertionError(other)
@@ -100,7 +96,7 @@ def test_confirms_and_places(shown: Any) -> None:
         until(shown, lambda: "cannot reach" in shown.inner_text("#place-words"))
 
         # what is expected, and what was felt
-        curve = ForceCurve(0.3, 0.2, "2 touches", EXPECTED, EXPECTED, (0.0, 0.5, 1.0), (0.0, 2.0, 4.0))
+        curve = messages.ForceCurve(0.3, 0.2, "2 touches", EXPECTED, EXPECTED, (0.0, 0.5, 1.0), (0.0, 2.0, 4.0))
         page.session.show(curve=curve)
         until(shown, lambda: "expected" in shown.inner_text("#curve figcaption"))
         drawn = shown.get_attribute("#curve .expected", "d")

@@ -7,19 +7,8 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from deformscope.pictures import evidence
 from deformscope.pictures import evidence as pictures
-from deformscope.pictures.evidence import (
-    Result,
-    _draw_posterior,
-    errors,
-    errors_png,
-    evidence_png,
-    headline,
-    particles_png,
-    results_png,
-    verdict_color,
-    where_wrong,
-)
 from deformscope.stages.fit.estimate import Comparison, Estimate, Posterior
 from tests.log import synthetic
 from tests.pictures.test_closeup import poked
@@ -64,11 +53,11 @@ CASES = {
 def test_each_kind_of_body(name: str) -> None:
     comparison = CASES[name]
     image = np.tile(np.arange(400, dtype=np.uint8), (330, 1)) if name == "pixels" else None
-    result = Result(estimate(comparison.unit), (comparison,), ("a.npz",), image)
-    assert decoded(results_png([result])).shape[1] == 1870
+    result = evidence.Result(estimate(comparison.unit), (comparison,), ("a.npz",), image)
+    assert decoded(evidence.results_png([result])).shape[1] == 1870
     exact = dataclasses.replace(comparison, simulated=np.where(comparison.seen[:, None], comparison.observed, 0.0))
     perfect = dataclasses.replace(result, comparisons=(exact,))
-    for draw in (particles_png, errors_png):
+    for draw in (evidence.particles_png, evidence.errors_png):
         drawn = draw(result, 0)
         assert draw(perfect, 0) != drawn
         assert max(decoded(drawn).shape) < 800
@@ -78,7 +67,7 @@ def test_the_heat_map_is_bright_where_the_error_is() -> None:
     pair = synthetic.pair_in_plane()
     right = pair.rest[:, 0] > 0.05
     pair = dataclasses.replace(pair, observed=pair.rest, simulated=pair.rest + np.outer(right, [0.005, 0.0]))
-    picture = decoded(errors_png(Result(estimate(), (pair,), ("",)), 0)).astype(int)
+    picture = decoded(evidence.errors_png(evidence.Result(estimate(), (pair,), ("",)), 0)).astype(int)
     yellow = np.flatnonzero(np.abs(picture - [33, 249, 240]).max(axis=2).min(axis=0) < 12)
     violet = np.flatnonzero(np.abs(picture - [135, 8, 13]).max(axis=2).min(axis=0) < 12)
     bar = 0.75 * picture.shape[1]  # the colour bar stands to the right of the body
@@ -91,7 +80,7 @@ def test_a_posterior_that_peaks_elsewhere_than_the_lowest_error_says_so() -> Non
     for middle, low in ((estimate().value, 0.2), (0.25, 0.2), (0.25, 0.3)):
         axes = Figure().subplots()
         found = dataclasses.replace(estimate(), posterior=posterior(middle, 0.1), interval=(low, 0.7))
-        _draw_posterior(axes, found, 11)
+        evidence._draw_posterior(axes, found, 11)
         legend = axes.get_legend()
         said.append([] if legend is None else [text.get_text() for text in legend.get_texts()])
     assert said[0] == []
@@ -103,28 +92,28 @@ def test_a_posterior_that_peaks_elsewhere_than_the_lowest_error_says_so() -> Non
 def test_evidence_with_and_without_posterior_and_very_narrow() -> None:
     with_it = estimate()
     narrow = dataclasses.replace(with_it, interval=(0.6195, 0.6205), posterior=posterior(0.62, 3e-4))
-    pictures = [evidence_png(one) for one in (with_it, narrow, dataclasses.replace(with_it, posterior=None))]
+    pictures = [evidence.evidence_png(one) for one in (with_it, narrow, dataclasses.replace(with_it, posterior=None))]
     assert len({decoded(png).shape for png in pictures}) == 1  # one size, as a viewer needs
     assert len(set(pictures)) == 3
     unfinished = dataclasses.replace(with_it, converged=False)
-    assert verdict_color(with_it) != verdict_color(unfinished)
-    assert "NOT CONVERGED" in headline(unfinished)
-    assert "0.56 to 0.69" in headline(with_it)
+    assert evidence.verdict_color(with_it) != evidence.verdict_color(unfinished)
+    assert "NOT CONVERGED" in evidence.headline(unfinished)
+    assert "0.56 to 0.69" in evidence.headline(with_it)
 
 
 @pytest.mark.slow  # many pictures
 def test_several_pairs_are_rows_and_the_worst_of_many(monkeypatch: pytest.MonkeyPatch) -> None:
     pair = synthetic.pair_in_plane()
     better = dataclasses.replace(pair, simulated=pair.observed)
-    one, good = Result(estimate(), (pair,), ("a.npz",)), Result(estimate(), (better,), ("b.npz",))
-    together = Result(estimate(), (pair, better), ("a.npz", "b.npz"))
-    apart = results_png([one, good])
-    assert decoded(apart).shape == decoded(results_png([together])).shape
-    assert decoded(apart).shape[0] > decoded(results_png([one])).shape[0]
+    one, good = evidence.Result(estimate(), (pair,), ("a.npz",)), evidence.Result(estimate(), (better,), ("b.npz",))
+    together = evidence.Result(estimate(), (pair, better), ("a.npz", "b.npz"))
+    apart = evidence.results_png([one, good])
+    assert decoded(apart).shape == decoded(evidence.results_png([together])).shape
+    assert decoded(apart).shape[0] > decoded(evidence.results_png([one])).shape[0]
     monkeypatch.setattr(pictures, "MOST_ROWS", 1)
     assert pictures._rows([good, one, good]) == [(1, 0)]
     assert pictures._rows([together]) == [(0, 0)]
-    assert decoded(results_png([good, one])).shape[0] < decoded(apart).shape[0]
+    assert decoded(evidence.results_png([good, one])).shape[0] < decoded(apart).shape[0]
 
 
 def test_errors_and_where_the_model_is_wrong() -> None:
@@ -134,17 +123,17 @@ def test_errors_and_where_the_model_is_wrong() -> None:
     seen = pair.seen.copy()
     seen[20] = False
     found = dataclasses.replace(pair, simulated=simulated, seen=seen)
-    error = errors(found)
+    error = evidence.errors(found)
     assert error[10] == pytest.approx(0.005)
     assert np.isnan(error[20])
     assert np.nansum(error) == pytest.approx(0.005)
-    said = where_wrong(found)
+    said = evidence.where_wrong(found)
     place = ", ".join(f"{1e2 * v:.3g}" for v in pair.rest[10])
     assert f"The largest error is 5 mm, at the particle with rest position ({place}) cm" in said
     assert "2% of the particles have half" in said
-    assert where_wrong(dataclasses.replace(pair, seen=np.zeros_like(seen))) == "No particle was observed."
+    assert evidence.where_wrong(dataclasses.replace(pair, seen=np.zeros_like(seen))) == "No particle was observed."
 
 
 def test_the_same_result_is_the_same_picture() -> None:
-    result = Result(estimate(), (synthetic.pair_in_plane(),), ("a.npz",))
-    assert results_png([result]) == results_png([result])
+    result = evidence.Result(estimate(), (synthetic.pair_in_plane(),), ("a.npz",))
+    assert evidence.results_png([result]) == evidence.results_png([result])

@@ -7,23 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from deformscope_drivers import errors
 from deformscope_drivers.device import Reconnect
 from deformscope_drivers.dsa import Dsa, DsaConfig, DsaDouble
 from deformscope_drivers.dsa.double import BOOT_S
 from deformscope_drivers.dsa.messages import Ack, ConfigureAcquisition, Reading, SetSensitivity
 from deformscope_drivers.dsa.pads import Curve, thesis_feature
 from deformscope_drivers.dsa.protocol import CommandDecoder, encode, stop, stream
-from deformscope_drivers.errors import (
-    CommandRefused,
-    DeviceError,
-    LinkLost,
-    NoReply,
-    NotConnected,
-    OutOfLimits,
-    ProtocolViolation,
-    SettingsRefused,
-    Stale,
-)
 from deformscope_drivers.memory import MemoryTransport, SimulatedClock
 from deformscope_drivers.wires import PtyWire, TcpWire
 from tests.drivers.contract import Bench, DeviceContract, wait_until
@@ -108,7 +98,7 @@ def test_it_asks_what_it_is_before_it_streams() -> None:
 def test_before_it_is_opened_nothing_is_known() -> None:
     device = Desk().device
     assert device.matrices == ()
-    with pytest.raises(NotConnected):
+    with pytest.raises(errors.NotConnected):
         _ = device.controller
 
 
@@ -132,7 +122,7 @@ def test_a_controller_that_streams_to_nobody() -> None:
 def test_nothing_answers() -> None:
     desk = Desk(Ears())
     desk.double.unanswered = 100
-    with pytest.raises(NoReply, match="answer to stop"), desk:
+    with pytest.raises(errors.NoReply, match="answer to stop"), desk:
         pass
     assert desk.double.heard == [stop()] * 4
     assert desk.clock() / S == pytest.approx(12.0, abs=0.3)
@@ -149,7 +139,7 @@ def test_what_is_asked_again_where_no_answer_came() -> None:
 def test_geometry_that_cannot_be_is_refused() -> None:
     matrices = DsaDouble().matrices
     broken = [*matrices[:5], replace(matrices[5], texel_width_mm=float("nan"))]
-    with pytest.raises(ProtocolViolation, match="matrix 5"), Desk(DsaDouble(matrices=broken)):
+    with pytest.raises(errors.ProtocolViolation, match="matrix 5"), Desk(DsaDouble(matrices=broken)):
         pass
 
 
@@ -257,7 +247,7 @@ def test_pressed_texels_that_never_change_are_stuck() -> None:
     with desk as device:
         desk.run(2.0)
         assert device.health().stuck
-        with pytest.raises(Stale, match="same reading"):
+        with pytest.raises(errors.Stale, match="same reading"):
             device.latest(1.0)
 
 
@@ -309,19 +299,19 @@ def test_threshold_acts() -> None:
     ],
 )
 def test_a_configuration_out_of_limits(config) -> None:
-    with pytest.raises(OutOfLimits):
+    with pytest.raises(errors.OutOfLimits):
         DsaConfig(**config)
 
 
 def test_settings_for_other_matrices_than_there_are() -> None:
-    with pytest.raises(SettingsRefused, match="each of 6 matrices"), Desk(sensitivity=(0.5, 0.5)):
+    with pytest.raises(errors.SettingsRefused, match="each of 6 matrices"), Desk(sensitivity=(0.5, 0.5)):
         pass
 
 
 def test_an_error_code_has_its_name() -> None:
     desk = Desk(Ears(), sensitivity=0.5)
     desk.double.answers[SetSensitivity] = [Ack(0x0F, 15)]
-    with pytest.raises(CommandRefused, match="access denied") as caught, desk:
+    with pytest.raises(errors.CommandRefused, match="access denied") as caught, desk:
         pass
     assert (caught.value.code, caught.value.name) == (15, "access denied")
 
@@ -355,7 +345,7 @@ def test_pending_is_no_answer_yet() -> None:
 def test_settings_that_did_not_take_are_refused() -> None:
     desk = Desk(Ears(), sensitivity=0.75)
     desk.double.answers[SetSensitivity] = [Ack(0x0F)]
-    with pytest.raises(SettingsRefused, match=r"sensitivity 0\.75 of matrix 0"), desk:
+    with pytest.raises(errors.SettingsRefused, match=r"sensitivity 0\.75 of matrix 0"), desk:
         pass
 
 
@@ -371,13 +361,16 @@ def test_a_single_frame_whatever_the_firmware(version: int) -> None:
 
 def test_no_single_frame_while_it_streams() -> None:
     desk = Desk()
-    with desk as device, pytest.raises(DeviceError, match="does not stream"):
+    with desk as device, pytest.raises(errors.DeviceError, match="does not stream"):
         device.single_frame()
 
 
 @pytest.mark.parametrize("version", [218, 267])
 def test_thresholds_that_the_firmware_does_not_have(version: int) -> None:
-    with pytest.raises(SettingsRefused, match="firmware 268"), Desk(DsaDouble(software_version=version), threshold=5):
+    with (
+        pytest.raises(errors.SettingsRefused, match="firmware 268"),
+        Desk(DsaDouble(software_version=version), threshold=5),
+    ):
         pass
 
 
@@ -413,7 +406,7 @@ def test_a_link_on_which_only_rubbish_comes_is_lost() -> None:
         assert desk.run(0.2)
         desk.double.garbled = True
         since_ns = desk.clock()
-        with pytest.raises(LinkLost, match="none without errors"):
+        with pytest.raises(errors.LinkLost, match="none without errors"):
             desk.run(2.0)
         assert 0.4 < (desk.clock() - since_ns) / S < 0.7
 

@@ -3,21 +3,8 @@
 import numpy as np
 import pytest
 
-from deformscope_drivers.dsa import DsaDouble
+from deformscope_drivers.dsa import DsaDouble, messages
 from deformscope_drivers.dsa.double import BOOT_S
-from deformscope_drivers.dsa.messages import (
-    Ack,
-    ControllerInfo,
-    MatrixInfo,
-    QueryMatrix,
-    QuerySensitivity,
-    QueryThreshold,
-    Reading,
-    SensitivityInfo,
-    SetSensitivity,
-    SetThreshold,
-    ThresholdInfo,
-)
 from deformscope_drivers.dsa.pads import SCHUNK_PA_PER_COUNT, Pad, Part
 from deformscope_drivers.dsa.protocol import SDH_CELLS, Decoder, encode, single, stop, stream
 from deformscope_drivers.dsa.scene import GraspScene
@@ -45,13 +32,13 @@ def said(double: DsaDouble, command, now_ns: int = 0, wait_ns: int = S // 5) -> 
     return list(Decoder().feed(double.due(now_ns + wait_ns)))
 
 
-def frames_of(double: DsaDouble, seconds: int) -> list[Reading]:
+def frames_of(double: DsaDouble, seconds: int) -> list[messages.Reading]:
     decoder = Decoder(SDH_CELLS)
     return [
         event
         for step in range(1, 1000 * seconds + 1)
         for event in decoder.feed(double.due(step * S // 1000))
-        if isinstance(event, Reading)
+        if isinstance(event, messages.Reading)
     ]
 
 
@@ -81,8 +68,8 @@ def test_the_sdhs_matrices() -> None:
     double = DsaDouble()
     shapes = []
     for index in range(6):
-        (matrix,) = said(double, QueryMatrix(index), index * S)
-        assert isinstance(matrix, MatrixInfo)
+        (matrix,) = said(double, messages.QueryMatrix(index), index * S)
+        assert isinstance(matrix, messages.MatrixInfo)
         assert matrix.texel_width_mm == pytest.approx(3.4)
         shapes.append((matrix.cells_y, matrix.cells_x))
     assert shapes == SHAPES
@@ -126,7 +113,7 @@ def test_an_answer_waits_for_the_frame_that_is_being_sent() -> None:
     double.receive(encode(stream(rle=False)), 0)
     double.due(S // 100)
     double.receive(encode(stop()), S // 100)
-    assert list(Decoder(SDH_CELLS).feed(double.due(S)))[-1:] == [Ack(3)]
+    assert list(Decoder(SDH_CELLS).feed(double.due(S)))[-1:] == [messages.Ack(3)]
     assert double.due(2 * S) == b""
 
 
@@ -160,34 +147,39 @@ def test_a_single_frame(version: int, goes_on: bool) -> None:
 @pytest.mark.parametrize(("version", "reported"), [(218, 0.5), (219, 0.75)])
 def test_sensitivity_read_back(version: int, reported: float) -> None:
     double = DsaDouble(software_version=version)
-    assert said(double, SetSensitivity(0, 1, 0.75)) == [Ack(0x0F)]
-    assert said(double, QuerySensitivity(1), S) == [SensitivityInfo(0, 2, reported, 0.5)]
+    assert said(double, messages.SetSensitivity(0, 1, 0.75)) == [messages.Ack(0x0F)]
+    assert said(double, messages.QuerySensitivity(1), S) == [messages.SensitivityInfo(0, 2, reported, 0.5)]
 
 
 def test_thresholds_need_firmware_268() -> None:
     old = DsaDouble(software_version=267)
-    assert said(old, QueryThreshold(0)) == [Ack(0x14, 13)]
-    assert said(old, SetThreshold(0, 0, 5), S) == [Ack(0x13, 13)]
-    assert said(DsaDouble(software_version=268), QueryThreshold(0)) == [ThresholdInfo(0, 20)]
+    assert said(old, messages.QueryThreshold(0)) == [messages.Ack(0x14, 13)]
+    assert said(old, messages.SetThreshold(0, 0, 5), S) == [messages.Ack(0x13, 13)]
+    assert said(DsaDouble(software_version=268), messages.QueryThreshold(0)) == [messages.ThresholdInfo(0, 20)]
 
 
 def test_what_is_kept_is_not_answered_and_outlives_power() -> None:
     double = DsaDouble()
-    assert said(double, SetThreshold(0x80, 2, 99)) == []
-    assert said(double, SetThreshold(0, 2, 77), S) == [Ack(0x13)]
-    assert said(double, QueryThreshold(2), 2 * S) == [ThresholdInfo(0, 77)]
+    assert said(double, messages.SetThreshold(0x80, 2, 99)) == []
+    assert said(double, messages.SetThreshold(0, 2, 77), S) == [messages.Ack(0x13)]
+    assert said(double, messages.QueryThreshold(2), 2 * S) == [messages.ThresholdInfo(0, 77)]
     double.power_up(3 * S)
-    assert said(double, QueryThreshold(2), 4 * S) == [ThresholdInfo(0, 99)]
+    assert said(double, messages.QueryThreshold(2), 4 * S) == [messages.ThresholdInfo(0, 99)]
 
 
-@pytest.mark.parametrize("command", [SetSensitivity(0, 6, 0.5), SetThreshold(0, 6, 5)])
+@pytest.mark.parametrize("command", [messages.SetSensitivity(0, 6, 0.5), messages.SetThreshold(0, 6, 5)])
 def test_settings_of_no_matrix(command) -> None:
     (answer,) = said(DsaDouble(), command)
     assert answer.error == 24
 
 
 @pytest.mark.parametrize(
-    "command", [SetSensitivity(0, 0, 1.5), SetSensitivity(0, 0, float("nan")), SetThreshold(0, 0, 4096)]
+    "command",
+    [
+        messages.SetSensitivity(0, 0, 1.5),
+        messages.SetSensitivity(0, 0, float("nan")),
+        messages.SetThreshold(0, 0, 4096),
+    ],
 )
 def test_settings_out_of_range(command) -> None:
     (answer,) = said(DsaDouble(), command)
@@ -200,19 +192,19 @@ def test_power_up() -> None:
     double.receive(encode(stop()), 105 * S)  # nobody listens yet
     assert double.due(106_900_000_000) == b""
     assert double.due(108 * S) == b"\x1b[5n" * 3
-    assert said(double, stop(), 108 * S) == [Ack(3)]
+    assert said(double, stop(), 108 * S) == [messages.Ack(3)]
 
 
 def test_power_up_ends_what_was_going_on() -> None:
     double = DsaDouble()
     double.receive(encode(stream(rle=False)), 0)
-    double.receive(encode(SetSensitivity(0, 0, 1.0)), 0)
+    double.receive(encode(messages.SetSensitivity(0, 0, 1.0)), 0)
     double.due(S)
     double.power_up(S)
     assert double.due(5 * S) == b""
-    assert said(double, QuerySensitivity(0), 6 * S) == [SensitivityInfo(0, 2, 0.5, 0.5)]
+    assert said(double, messages.QuerySensitivity(0), 6 * S) == [messages.SensitivityInfo(0, 2, 0.5, 0.5)]
     (controller,) = said(double, hexed("aa aa aa 01 00 00"), 7 * S)
-    assert isinstance(controller, ControllerInfo)
+    assert isinstance(controller, messages.ControllerInfo)
     assert controller.status == 0x80
 
 
@@ -226,7 +218,7 @@ def test_pressures_become_counts_where_they_are() -> None:
 @pytest.mark.parametrize(("sensitivity", "counts"), [(0.5, 1000), (1.0, 2000), (0.25, 500), (0.0, 0)])
 def test_sensitivity_is_a_gain(sensitivity: float, counts: int) -> None:
     double = DsaDouble(scene=pressed(1000 * SCHUNK_PA_PER_COUNT), noise_counts=0)
-    double.receive(encode(SetSensitivity(0x02, 0, sensitivity)), 0)
+    double.receive(encode(messages.SetSensitivity(0x02, 0, sensitivity)), 0)
     assert double.texels(0.0).max() == counts
 
 
@@ -237,7 +229,7 @@ def test_counts_end_at_twelve_bits() -> None:
 @pytest.mark.parametrize(("threshold", "counts"), [(0, 150), (150, 150), (151, 0)])
 def test_texels_below_the_threshold_read_nothing(threshold: int, counts: int) -> None:
     double = DsaDouble(scene=pressed(150 * SCHUNK_PA_PER_COUNT), noise_counts=0)
-    double.receive(encode(SetThreshold(0, 1, threshold)), 0)
+    double.receive(encode(messages.SetThreshold(0, 1, threshold)), 0)
     assert double.texels(0.0).max() == counts
 
 
@@ -245,7 +237,7 @@ def test_noise_is_the_seeds_and_stays_below_the_factorys_threshold() -> None:
     idle = DsaDouble(scene=pressed(), seed=1)
     loud = [DsaDouble(scene=pressed(), seed=seed) for seed in (1, 1, 2)]
     for double in loud:
-        double.receive(encode(SetThreshold(0x02, 0, 0)), 0)
+        double.receive(encode(messages.SetThreshold(0x02, 0, 0)), 0)
     first, same, other = (double.texels(0.0).tolist() for double in loud)
     assert idle.texels(0.0).sum() == 0
     assert first == same != other

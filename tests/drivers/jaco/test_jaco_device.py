@@ -18,39 +18,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from deformscope_drivers import jaco
 from deformscope_drivers.arm.commands import Velocity
 from deformscope_drivers.arm.kinematics import FloatArray
 from deformscope_drivers.device import Reconnect
 from deformscope_drivers.errors import LinkLost, NotConnected, OutOfLimits, SettingsRefused
 from deformscope_drivers.health import Link
-from deformscope_drivers.jaco import (
-    CartesianTarget,
-    CartesianVelocity,
-    EthernetAddresses,
-    Jaco,
-    JacoConfig,
-    JacoDouble,
-    JointTarget,
-    JointVelocity,
-    MotionStopped,
-    NoDeviceFound,
-    NotHomed,
-    NotReached,
-    NotStopped,
-    Workspace,
-)
 from deformscope_drivers.jaco import errors as vendor_errors
+from deformscope_drivers.jaco import structures
 from deformscope_drivers.jaco.chains import CHAINS, J2N6S300
 from deformscope_drivers.jaco.commands import velocity_point
 from deformscope_drivers.jaco.library import Functions, Library, call, read
 from deformscope_drivers.jaco.startup import check_pose
-from deformscope_drivers.jaco.structures import (
-    AngularPosition,
-    PositionType,
-    TrajectoryFIFO,
-    actuator_values,
-    cartesian_values,
-)
 from deformscope_drivers.memory import SimulatedClock
 from deformscope_drivers.pacing import SlotPacer
 from tests.drivers.contract import Bench, DeviceContract, wait_until
@@ -58,8 +37,8 @@ from tests.drivers.jaco.benches import CBench, build
 
 QUICK = Reconnect(0.01, 0.05)
 PERIOD_S = 0.01
-TURN = JointVelocity((10.0, 0.0, 0.0, 0.0, 0.0, 0.0))
-PATIENT = JacoConfig(open_attempts=1, command_deadline_s=5.0)  # in real time a busy machine may stall the cycle
+TURN = jaco.JointVelocity((10.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+PATIENT = jaco.JacoConfig(open_attempts=1, command_deadline_s=5.0)  # in real time a busy machine may stall the cycle
 
 
 class Recorded:
@@ -98,18 +77,18 @@ class Recorded:
         return [
             (at_s, argument.Position.Actuators.Actuator1)
             for at_s, name, argument in self.calls
-            if name == "SendBasicTrajectory" and argument.Position.Type == PositionType.ANGULAR_VELOCITY
+            if name == "SendBasicTrajectory" and argument.Position.Type == structures.PositionType.ANGULAR_VELOCITY
         ]
 
 
 class Simulated:
     """A device over a double on a simulated clock, opened without a thread: every run is the same."""
 
-    def __init__(self, config: JacoConfig | None = None, **double: Any) -> None:
+    def __init__(self, config: jaco.JacoConfig | None = None, **double: Any) -> None:
         self.clock = SimulatedClock(1_000_000_000)
-        self.double = JacoDouble(clock=self.clock, **double)
+        self.double = jaco.JacoDouble(clock=self.clock, **double)
         self.recorded = Recorded(self.double, self.clock)
-        self.arm = Jaco(config or JacoConfig(), self.recorded, clock=self.clock)
+        self.arm = jaco.Jaco(config or jaco.JacoConfig(), self.recorded, clock=self.clock)
 
     def run(self, seconds: float) -> None:
         until_ns = self.clock() + round(seconds * 1e9)
@@ -131,15 +110,15 @@ def lab() -> Iterator[Simulated]:
 class TestOverThePythonDouble(DeviceContract):
     @pytest.fixture
     def bench(self) -> Bench:
-        double = JacoDouble()
-        return Bench(Jaco(PATIENT, double, reconnect=QUICK), double.unplug, double.plug)
+        double = jaco.JacoDouble()
+        return Bench(jaco.Jaco(PATIENT, double, reconnect=QUICK), double.unplug, double.plug)
 
 
 class TestOverTheCDouble(DeviceContract):
     @pytest.fixture
     def bench(self) -> Bench:
         CBench("j2n6s300").real_time(True)
-        return Bench(Jaco(JacoConfig(library=build("usb"))))
+        return Bench(jaco.Jaco(jaco.JacoConfig(library=build("usb"))))
 
 
 @pytest.mark.hardware
@@ -151,13 +130,13 @@ class TestOnHardware(DeviceContract):
         library = os.environ.get("DEFORMSCOPE_JACO_LIBRARY")
         if library is None:
             pytest.skip("no arm: DEFORMSCOPE_JACO_LIBRARY is not set")
-        return Bench(Jaco(JacoConfig(library=library)))
+        return Bench(jaco.Jaco(jaco.JacoConfig(library=library)))
 
 
 def test_over_the_c_double_by_ethernet() -> None:
     CBench("j2s7s300", "ethernet").real_time(True)
-    config = JacoConfig(library=build("ethernet"), connection="ethernet", ethernet=EthernetAddresses())
-    with Jaco(config) as arm:
+    config = jaco.JacoConfig(library=build("ethernet"), connection="ethernet", ethernet=jaco.EthernetAddresses())
+    with jaco.Jaco(config) as arm:
         assert len(arm.next(5.0).joints_deg) == 7
 
 
@@ -175,19 +154,19 @@ class Coupled(SimulatedClock):
 
 
 @pytest.fixture(params=["python", "c"])
-def simulated(request: pytest.FixtureRequest) -> Iterator[Jaco]:
+def simulated(request: pytest.FixtureRequest) -> Iterator[jaco.Jaco]:
     """The driver on a simulated clock, over each of the doubles."""
     if request.param == "python":
         clock = SimulatedClock()
-        arm = Jaco(JacoConfig(), JacoDouble(clock=clock), clock=clock)
+        arm = jaco.Jaco(jaco.JacoConfig(), jaco.JacoDouble(clock=clock), clock=clock)
     else:
         bench = CBench("j2n6s300")
-        arm = Jaco(JacoConfig(library=bench.path), clock=Coupled(bench))
+        arm = jaco.Jaco(jaco.JacoConfig(library=bench.path), clock=Coupled(bench))
     with arm.open(own_thread=False):
         yield arm
 
 
-def hold(arm: Jaco, velocity: Velocity, seconds: float) -> None:
+def hold(arm: jaco.Jaco, velocity: Velocity, seconds: float) -> None:
     """Command a velocity for a time, and let the arm come to rest."""
     arm.set_velocity(velocity, valid_for_s=seconds)
     until_ns = arm._clock() + round((seconds + 0.2) * 1e9)
@@ -197,18 +176,20 @@ def hold(arm: Jaco, velocity: Velocity, seconds: float) -> None:
 
 @pytest.mark.parametrize("rate_deg_s", [20.0, -7.5, 1.0])
 def test_an_angular_velocity_held_for_1_s_moves_the_double_by_the_right_angle(
-    simulated: Jaco, rate_deg_s: float
+    simulated: jaco.Jaco, rate_deg_s: float
 ) -> None:
     before = np.array(simulated.next(1.0).joints_deg)
-    hold(simulated, JointVelocity((0.0, rate_deg_s, 0.0, -rate_deg_s, 0.0, 0.0)), 1.0)
+    hold(simulated, jaco.JointVelocity((0.0, rate_deg_s, 0.0, -rate_deg_s, 0.0, 0.0)), 1.0)
     moved = np.array(simulated.next(1.0).joints_deg) - before
     one_cycle = abs(rate_deg_s) * PERIOD_S * 1.01
     np.testing.assert_allclose(moved, (0, rate_deg_s, 0, -rate_deg_s, 0, 0), atol=one_cycle)
 
 
-def test_a_cartesian_rotation_is_about_the_hand_s_own_axes_and_a_translation_along_the_base_s(simulated: Jaco) -> None:
+def test_a_cartesian_rotation_is_about_the_hand_s_own_axes_and_a_translation_along_the_base_s(
+    simulated: jaco.Jaco,
+) -> None:
     before = simulated.next(1.0).T_base_end_effector
-    hold(simulated, CartesianVelocity((0.03, -0.02, 0.01), (0.05, 0.0, 0.1)), 1.0)
+    hold(simulated, jaco.CartesianVelocity((0.03, -0.02, 0.01), (0.05, 0.0, 0.1)), 1.0)
     after = simulated.next(1.0).T_base_end_effector
     turned = Rotation.from_matrix(before[:3, :3].T @ after[:3, :3]).as_rotvec()
     assert turned == pytest.approx([0.05, 0.0, 0.1], abs=2e-3)
@@ -217,7 +198,7 @@ def test_a_cartesian_rotation_is_about_the_hand_s_own_axes_and_a_translation_alo
 
 def test_a_velocity_about_the_base_s_axes_is_converted() -> None:
     pose = J2N6S300.end_effector(J2N6S300.home_deg)
-    velocity = CartesianVelocity.in_base((0.01, 0.02, 0.03), (0.1, -0.2, 0.3), pose)
+    velocity = jaco.CartesianVelocity.in_base((0.01, 0.02, 0.03), (0.1, -0.2, 0.3), pose)
     assert velocity.linear_m_s == (0.01, 0.02, 0.03)
     assert pose[:3, :3] @ velocity.angular_rad_s == pytest.approx([0.1, -0.2, 0.3])
     assert velocity.angular_rad_s != pytest.approx([0.1, -0.2, 0.3], abs=0.05)
@@ -227,7 +208,7 @@ def test_a_velocity_about_the_base_s_axes_is_converted() -> None:
 def test_in_real_time_it_turns_by_the_right_angle_too() -> None:
     bench = CBench("j2n6s300")
     bench.real_time(True)
-    with Jaco(JacoConfig(library=bench.path, command_deadline_s=5.0)) as arm:
+    with jaco.Jaco(jaco.JacoConfig(library=bench.path, command_deadline_s=5.0)) as arm:
         before = joints(Library(bench.path))
         arm.set_velocity(TURN, valid_for_s=1.0)
         wait_until(lambda: arm.health().extra["commands_expired"] == 1)
@@ -238,7 +219,9 @@ def test_in_real_time_it_turns_by_the_right_angle_too() -> None:
 
 
 def joints(functions: Functions) -> FloatArray:
-    return np.array(actuator_values(read(functions, "GetAngularPosition", AngularPosition).Actuators, 6))
+    return np.array(
+        structures.actuator_values(read(functions, "GetAngularPosition", structures.AngularPosition).Actuators, 6)
+    )
 
 
 def test_it_comes_up_in_the_order_of_the_vendors_driver_and_lets_go_erasing_first(lab: Simulated) -> None:
@@ -259,8 +242,8 @@ def test_it_comes_up_in_the_order_of_the_vendors_driver_and_lets_go_erasing_firs
     ]
     assert all(name.startswith("Get") for _, name, _ in lab.recorded.calls[13:])
     point = lab.recorded.calls[12][2].Position
-    assert point.Type == PositionType.CARTESIAN_VELOCITY
-    assert not any(cartesian_values(point.CartesianPosition))
+    assert point.Type == structures.PositionType.CARTESIAN_VELOCITY
+    assert not any(structures.cartesian_values(point.CartesianPosition))
     stop_s, (_, start_s) = lab.recorded.times("StopControlAPI")[0], lab.recorded.times("StartControlAPI")
     assert start_s - stop_s >= 0.05
     assert lab.recorded.times("SetTorqueSafetyFactor")[0] - lab.recorded.times("SetGravityType")[0] >= 0.1 - 1e-9
@@ -273,18 +256,18 @@ def test_it_comes_up_in_the_order_of_the_vendors_driver_and_lets_go_erasing_firs
     "ask",
     [
         lambda arm: arm.set_velocity(TURN),
-        lambda arm: arm.set_velocity(CartesianVelocity((0.0, 0.0, 0.02))),
-        lambda arm: arm.move_to(JointTarget(tuple(J2N6S300.home_deg + 5.0))),
+        lambda arm: arm.set_velocity(jaco.CartesianVelocity((0.0, 0.0, 0.02))),
+        lambda arm: arm.move_to(jaco.JointTarget(tuple(J2N6S300.home_deg + 5.0))),
         lambda arm: arm.move_fingers((1000.0,) * 3),
     ],
 )
 def test_an_arm_that_was_not_homed_since_it_was_switched_on_says_so_before_it_moves(
-    ask: Callable[[Jaco], object],
+    ask: Callable[[jaco.Jaco], object],
 ) -> None:
     lab = Simulated(cold_boot=True)
     with lab.arm.open(own_thread=False):
         assert not lab.arm.homed
-        with pytest.raises(NotHomed, match=r"home button.*arm\.home\(\)"):
+        with pytest.raises(jaco.NotHomed, match=r"home button.*arm\.home\(\)"):
             ask(lab.arm)
         lab.run(0.1)
         assert lab.recorded.points() == []
@@ -301,18 +284,18 @@ def test_an_arm_that_is_homed_by_its_joystick_may_move_then() -> None:
 
 
 def test_who_knows_better_may_move_it_all_the_same() -> None:
-    lab = Simulated(JacoConfig(require_home=False), cold_boot=True)
+    lab = Simulated(jaco.JacoConfig(require_home=False), cold_boot=True)
     with lab.arm.open(own_thread=False):
         before = lab.double.joints_deg
         hold(lab.arm, TURN, 0.5)
         assert lab.double.joints_deg[0] - before[0] == pytest.approx(5.0, abs=0.11)
 
 
-def test_a_cartesian_velocity_moves_the_arm_after_angular_motion_too(simulated: Jaco) -> None:
+def test_a_cartesian_velocity_moves_the_arm_after_angular_motion_too(simulated: jaco.Jaco) -> None:
     """The arm's own Cartesian velocities would silently fail then: kinova-ros issue 269."""
-    simulated.move_to(JointTarget(tuple(J2N6S300.home_deg + 5.0)))
+    simulated.move_to(jaco.JointTarget(tuple(J2N6S300.home_deg + 5.0)))
     before = simulated.next(1.0).T_base_end_effector
-    hold(simulated, CartesianVelocity((0.02, -0.01, 0.03), (0.0, 0.05, 0.1)), 1.0)
+    hold(simulated, jaco.CartesianVelocity((0.02, -0.01, 0.03), (0.0, 0.05, 0.1)), 1.0)
     after = simulated.next(1.0).T_base_end_effector
     assert after[:3, 3] - before[:3, 3] == pytest.approx([0.02, -0.01, 0.03], abs=1e-3)
     turned = Rotation.from_matrix(before[:3, :3].T @ after[:3, :3]).as_rotvec()
@@ -326,14 +309,14 @@ def test_a_cartesian_velocity_stops_before_a_joint_s_limit_and_says_so() -> None
     towards = J2N6S300.jacobian(start_deg) @ np.radians([0.0, 0.0, -6.0, 0.0, 0.0, 0.0])
     with lab.arm.open(own_thread=False):
         pose = lab.arm.next(1.0).T_base_end_effector
-        lab.arm.set_velocity(CartesianVelocity.in_base(towards[:3], towards[3:], pose), valid_for_s=10.0)
+        lab.arm.set_velocity(jaco.CartesianVelocity.in_base(towards[:3], towards[3:], pose), valid_for_s=10.0)
         lab.run(4.0)
         assert "joint 3" in lab.arm.stopped_because
         assert J2N6S300.to_limits_deg(lab.double.joints_deg)[2] > 4.5
 
 
 def test_a_cartesian_velocity_that_a_singularity_would_turn_away_stops_the_arm_and_says_so() -> None:
-    lab = Simulated(JacoConfig(joint_limit_deg_s=36.0))
+    lab = Simulated(jaco.JacoConfig(joint_limit_deg_s=36.0))
     with lab.arm.open(own_thread=False):
         lab.arm.next(1.0)
         start_m = lab.double.T_base_end_effector[:3, 3]
@@ -342,7 +325,7 @@ def test_a_cartesian_velocity_that_a_singularity_would_turn_away_stops_the_arm_a
         for _ in range(1200):
             if lab.arm.stopped_because:
                 break
-            lab.arm.set_velocity(CartesianVelocity(out), valid_for_s=0.5)
+            lab.arm.set_velocity(jaco.CartesianVelocity(out), valid_for_s=0.5)
             lab.run(0.02)
             gone = lab.double.T_base_end_effector[:3, 3] - start_m
             worst = max(worst, float(np.linalg.norm(gone - (gone @ out) / 0.0025 * np.array(out))))
@@ -360,7 +343,7 @@ def test_a_cold_arm_obeys_after_it_was_brought_up_and_homed() -> None:
 
 
 def test_fingers_are_initialised_when_that_is_asked_for() -> None:
-    lab = Simulated(JacoConfig(initialize_fingers=True))
+    lab = Simulated(jaco.JacoConfig(initialize_fingers=True))
     with lab.arm.open(own_thread=False):
         assert "InitFingers" in lab.recorded.names
 
@@ -377,7 +360,7 @@ def test_an_arm_that_is_not_found_is_sought_again_with_longer_and_longer_pauses(
 
 def test_an_arm_that_stays_away_is_reported_with_what_to_try() -> None:
     lab = Simulated(serials=())
-    with pytest.raises(NoDeviceFound, match="22cd") as caught:
+    with pytest.raises(jaco.NoDeviceFound, match="22cd") as caught:
         lab.arm.open(own_thread=False)
     assert str(caught.value).endswith("simulated j2n6s300")
     assert lab.recorded.names.count("InitAPI") == 3
@@ -393,7 +376,7 @@ def test_other_codes_at_opening_are_not_tried_again() -> None:
 
 
 def test_the_arm_meant_is_chosen_by_its_serial_number() -> None:
-    lab = Simulated(JacoConfig(serial="B"), serials=("A", "B"))
+    lab = Simulated(jaco.JacoConfig(serial="B"), serials=("A", "B"))
     with lab.arm.open(own_thread=False):
         (device,) = [argument for _, name, argument in lab.recorded.calls if name == "SetActiveDevice"]
         assert device.SerialNumber == b"B"
@@ -404,12 +387,12 @@ def test_the_arm_meant_is_chosen_by_its_serial_number() -> None:
 
 @pytest.mark.parametrize(("serial", "reported"), [(None, "serial"), ("C", "C")])
 def test_another_arm_than_the_one_meant_is_not_taken(serial: str | None, reported: str) -> None:
-    lab = Simulated(JacoConfig(serial=serial), serials=("A", "B"))
+    lab = Simulated(jaco.JacoConfig(serial=serial), serials=("A", "B"))
     with pytest.raises(NotConnected, match=reported):
         lab.arm.open(own_thread=False)
 
 
-class Mistaken(JacoDouble):
+class Mistaken(jaco.JacoDouble):
     """An arm with the spherical wrist that says it is one with the curved wrist."""
 
     def GetDevices(self, devices: Any, status: Any) -> int:
@@ -422,7 +405,7 @@ def test_an_arm_of_another_geometry_than_it_says_is_refused_and_let_go() -> None
     clock = SimulatedClock(1_000_000_000)
     recorded = Recorded(Mistaken("j2s6s300", clock), clock)
     with pytest.raises(SettingsRefused, match=r"j2n6s300.*mm and .* deg away") as caught:
-        Jaco(JacoConfig(), recorded, clock=clock).open(own_thread=False)
+        jaco.Jaco(jaco.JacoConfig(), recorded, clock=clock).open(own_thread=False)
     assert "model" in str(caught.value)
     assert recorded.names[-1] == "CloseAPI"
 
@@ -444,7 +427,7 @@ def test_an_arm_that_is_led_by_its_joystick_meanwhile_is_no_other_model() -> Non
     lab = Simulated()
     lab.recorded.takes_s = 0.004
     for _ in range(100):
-        lab.double._arm.fifo.append(velocity_point(JointVelocity((36.0, 36.0, 0.0, 0.0, 0.0, 0.0))))
+        lab.double._arm.fifo.append(velocity_point(jaco.JointVelocity((36.0, 36.0, 0.0, 0.0, 0.0, 0.0))))
     lab.double._arm.control = True
     check_pose(_initialised(lab), J2N6S300)
     assert lab.double.joints_deg[0] > J2N6S300.home_deg[0] + 0.2
@@ -464,7 +447,7 @@ def test_each_model_is_known_by_the_type_that_the_arm_reports(model: str) -> Non
 
 
 def test_an_arm_of_another_model_is_refused() -> None:
-    lab = Simulated(JacoConfig(model="j2s7s300"))
+    lab = Simulated(jaco.JacoConfig(model="j2s7s300"))
     with pytest.raises(SettingsRefused, match="j2n6s300"):
         lab.arm.open(own_thread=False)
 
@@ -486,7 +469,7 @@ def test_a_moving_arm_that_cannot_be_reported_to_stop_is_reported_to_the_user(la
     lab.arm.set_velocity(TURN, valid_for_s=10.0)
     lab.run(0.1)
     lab.double.unplug()
-    with pytest.raises(NotStopped, match="emergency stop"):
+    with pytest.raises(jaco.NotStopped, match="emergency stop"):
         lab.arm.close()
     assert not lab.arm.is_open
 
@@ -624,10 +607,10 @@ def test_a_stall_longer_than_the_deadline_stops_the_arm_and_says_so(lab: Simulat
     assert [at_s for at_s, _ in lab.recorded.points() if at_s >= stalled_s] == []
     assert [at_s for at_s in lab.recorded.times("EraseAllTrajectories") if at_s >= stalled_s]
     assert "late" in lab.arm.stopped_because
-    with pytest.raises(MotionStopped, match="late"):
+    with pytest.raises(jaco.MotionStopped, match="late"):
         lab.arm.set_velocity(TURN)
-    with pytest.raises(MotionStopped, match="late"):
-        lab.arm.move_to(JointTarget(tuple(J2N6S300.home_deg)))
+    with pytest.raises(jaco.MotionStopped, match="late"):
+        lab.arm.move_to(jaco.JointTarget(tuple(J2N6S300.home_deg)))
     lab.arm.acknowledge_stop()
     lab.arm.set_velocity(TURN)
 
@@ -646,7 +629,7 @@ def test_an_erase_that_fails_is_tried_until_it_is_done(lab: Simulated) -> None:
 @pytest.mark.parametrize("call_ms", [1.0, 2.8, 4.0])
 def test_a_slow_link_costs_neither_points_nor_states(call_ms: float, state_hz: float) -> None:
     """Over USB a call takes 2.8 ms or more (kinova-ros issues 281, 372): angles come first, the rest takes turns."""
-    lab = Simulated(JacoConfig(state_hz=state_hz))
+    lab = Simulated(jaco.JacoConfig(state_hz=state_hz))
     lab.recorded.takes_s = call_ms / 1e3
     with lab.arm.open(own_thread=False):
         lab.arm.set_velocity(TURN, valid_for_s=10.0)
@@ -680,7 +663,7 @@ def test_a_link_too_slow_for_a_point_and_a_state_in_a_slot_alternates(lab: Simul
 
 def test_the_pose_is_that_of_the_angles_read_with_it(lab: Simulated) -> None:
     lab.recorded.takes_s = 0.004
-    lab.arm.set_velocity(JointVelocity((15.0, -10.0, 12.0, 20.0, -20.0, 10.0)), valid_for_s=1.0)
+    lab.arm.set_velocity(jaco.JointVelocity((15.0, -10.0, 12.0, 20.0, -20.0, 10.0)), valid_for_s=1.0)
     lab.run(0.5)
     state = lab.arm.next(1.0)
     np.testing.assert_allclose(state.T_base_end_effector, J2N6S300.end_effector(state.joints_deg), atol=1e-9)
@@ -735,8 +718,8 @@ def test_whatever_the_sender_does_no_point_outlives_its_command(steps: list[tupl
 
 def test_an_arm_whose_clock_runs_slow_is_not_filled_up() -> None:
     clock = SimulatedClock()
-    double = JacoDouble(clock=lambda: round(clock() * 0.98))
-    with Jaco(JacoConfig(), double, clock=clock).open(own_thread=False) as arm:
+    double = jaco.JacoDouble(clock=lambda: round(clock() * 0.98))
+    with jaco.Jaco(jaco.JacoConfig(), double, clock=clock).open(own_thread=False) as arm:
         arm.set_velocity(TURN, valid_for_s=30.0)
         most = 0
         while clock() < 20_000_000_000:
@@ -778,17 +761,17 @@ def test_codes_that_pass_are_counted_and_those_that_stay_are_a_lost_link(lab: Si
 @pytest.mark.parametrize(
     "velocity",
     [
-        JointVelocity((20.1, 0, 0, 0, 0, 0)),
-        JointVelocity((0, 0, 0, 0, 0, -20.1)),
-        JointVelocity((math.nan, 0, 0, 0, 0, 0)),
-        JointVelocity((math.inf, 0, 0, 0, 0, 0)),
-        JointVelocity((1.0, 0, 0, 0, 0)),
-        JointVelocity((1.0, 0, 0, 0, 0, 0, 0)),
-        CartesianVelocity((0.0501, 0, 0)),
-        CartesianVelocity((0.03, 0.03, 0.03)),
-        CartesianVelocity((0, 0, math.nan)),
-        CartesianVelocity((0, 0, 0), (0, 0.36, 0)),
-        CartesianVelocity((0, 0, 0), (0, -math.inf, 0)),
+        jaco.JointVelocity((20.1, 0, 0, 0, 0, 0)),
+        jaco.JointVelocity((0, 0, 0, 0, 0, -20.1)),
+        jaco.JointVelocity((math.nan, 0, 0, 0, 0, 0)),
+        jaco.JointVelocity((math.inf, 0, 0, 0, 0, 0)),
+        jaco.JointVelocity((1.0, 0, 0, 0, 0)),
+        jaco.JointVelocity((1.0, 0, 0, 0, 0, 0, 0)),
+        jaco.CartesianVelocity((0.0501, 0, 0)),
+        jaco.CartesianVelocity((0.03, 0.03, 0.03)),
+        jaco.CartesianVelocity((0, 0, math.nan)),
+        jaco.CartesianVelocity((0, 0, 0), (0, 0.36, 0)),
+        jaco.CartesianVelocity((0, 0, 0), (0, -math.inf, 0)),
     ],
 )
 def test_velocities_beyond_the_limits_are_refused_and_nothing_is_sent(lab: Simulated, velocity: Velocity) -> None:
@@ -801,11 +784,11 @@ def test_velocities_beyond_the_limits_are_refused_and_nothing_is_sent(lab: Simul
 
 
 def test_a_joint_s_own_greatest_rate_holds_whatever_is_configured() -> None:
-    lab = Simulated(JacoConfig(joint_limit_deg_s=40.0))
+    lab = Simulated(jaco.JacoConfig(joint_limit_deg_s=40.0))
     with lab.arm.open(own_thread=False):
-        lab.arm.set_velocity(JointVelocity((36.0, 0, 0, 40.0, 0, 0)))
+        lab.arm.set_velocity(jaco.JointVelocity((36.0, 0, 0, 40.0, 0, 0)))
         with pytest.raises(OutOfLimits, match="rate of joint 2 up to 36 deg/s"):
-            lab.arm.set_velocity(JointVelocity((0, 37.0, 0, 0, 0, 0)))
+            lab.arm.set_velocity(jaco.JointVelocity((0, 37.0, 0, 0, 0, 0)))
 
 
 @pytest.mark.parametrize("valid_for_s", [0.0, -1.0, math.nan, math.inf, 61.0])
@@ -817,37 +800,37 @@ def test_a_time_that_means_nothing_is_refused(lab: Simulated, valid_for_s: float
 def test_a_refused_velocity_leaves_the_one_before(lab: Simulated) -> None:
     lab.arm.set_velocity(TURN, valid_for_s=1.0)
     with pytest.raises(OutOfLimits):
-        lab.arm.set_velocity(JointVelocity((99.0, 0, 0, 0, 0, 0)))
+        lab.arm.set_velocity(jaco.JointVelocity((99.0, 0, 0, 0, 0, 0)))
     before = lab.double.joints_deg
     lab.run(0.5)
     assert lab.double.joints_deg[0] - before[0] == pytest.approx(5.0, abs=0.11)
 
 
-BOX = Workspace((0.1, -0.35, 0.40), (0.3, -0.15, 0.60))  # around the home pose's (0.2145, -0.2563, 0.5107)
+BOX = jaco.Workspace((0.1, -0.35, 0.40), (0.3, -0.15, 0.60))  # around the home pose's (0.2145, -0.2563, 0.5107)
 
 
 def test_the_arm_stops_before_it_leaves_its_workspace_and_says_so() -> None:
-    lab = Simulated(JacoConfig(workspace=BOX))
+    lab = Simulated(jaco.JacoConfig(workspace=BOX))
     with lab.arm.open(own_thread=False):
         lab.arm.next(1.0)
-        lab.arm.set_velocity(CartesianVelocity((0.0, 0.0, -0.05)), valid_for_s=10.0)
+        lab.arm.set_velocity(jaco.CartesianVelocity((0.0, 0.0, -0.05)), valid_for_s=10.0)
         lab.run(5.0)
         assert 0.40 < lab.double.T_base_end_effector[2, 3] < 0.41
         assert "along z" in lab.arm.stopped_because
-        with pytest.raises(MotionStopped, match="along z"):
+        with pytest.raises(jaco.MotionStopped, match="along z"):
             lab.arm.set_velocity(TURN)
         lab.arm.acknowledge_stop()
-        lab.arm.set_velocity(CartesianVelocity((0.0, 0.0, 0.05)), valid_for_s=1.0)
+        lab.arm.set_velocity(jaco.CartesianVelocity((0.0, 0.0, 0.05)), valid_for_s=1.0)
         lab.run(0.5)
         assert lab.arm.stopped_because == ""
         assert lab.double.T_base_end_effector[2, 3] > 0.42
 
 
 def test_joint_velocities_keep_the_workspace_too() -> None:
-    lab = Simulated(JacoConfig(workspace=BOX))
+    lab = Simulated(jaco.JacoConfig(workspace=BOX))
     with lab.arm.open(own_thread=False):
         lab.arm.next(1.0)
-        lab.arm.set_velocity(JointVelocity((0.0, 20.0, 0.0, 0.0, 0.0, 0.0)), valid_for_s=10.0)
+        lab.arm.set_velocity(jaco.JointVelocity((0.0, 20.0, 0.0, 0.0, 0.0, 0.0)), valid_for_s=10.0)
         lab.run(5.0)
         assert "workspace" in lab.arm.stopped_because
         assert BOX.contains(tuple(lab.double.T_base_end_effector[:3, 3]))
@@ -856,18 +839,18 @@ def test_joint_velocities_keep_the_workspace_too() -> None:
 @pytest.mark.parametrize(
     "target",
     [
-        JointTarget((275.0, 400.0, 57.4, 240.0, 82.7, 75.5)),
-        JointTarget((275.0, math.nan, 57.4, 240.0, 82.7, 75.5)),
-        JointTarget((275.0, 180.0, 57.4, 240.0, 82.7)),
-        JointTarget((0.0, 180.0, 180.0, 0.0, 0.0, 0.0)),
-        CartesianTarget((0.21, -0.26, 0.8), (1.62, 1.12, 0.16)),
-        CartesianTarget((0.21, math.inf, 0.5), (1.62, 1.12, 0.16)),
+        jaco.JointTarget((275.0, 400.0, 57.4, 240.0, 82.7, 75.5)),
+        jaco.JointTarget((275.0, math.nan, 57.4, 240.0, 82.7, 75.5)),
+        jaco.JointTarget((275.0, 180.0, 57.4, 240.0, 82.7)),
+        jaco.JointTarget((0.0, 180.0, 180.0, 0.0, 0.0, 0.0)),
+        jaco.CartesianTarget((0.21, -0.26, 0.8), (1.62, 1.12, 0.16)),
+        jaco.CartesianTarget((0.21, math.inf, 0.5), (1.62, 1.12, 0.16)),
     ],
 )
 def test_targets_beyond_ranges_and_workspace_are_refused_and_nothing_is_sent(
-    target: JointTarget | CartesianTarget,
+    target: jaco.JointTarget | jaco.CartesianTarget,
 ) -> None:
-    lab = Simulated(JacoConfig(workspace=BOX))
+    lab = Simulated(jaco.JacoConfig(workspace=BOX))
     with lab.arm.open(own_thread=False):
         with pytest.raises(OutOfLimits):
             lab.arm.move_to(target)
@@ -876,7 +859,7 @@ def test_targets_beyond_ranges_and_workspace_are_refused_and_nothing_is_sent(
 
 def test_a_pose_that_the_arm_cannot_reach_is_refused(lab: Simulated) -> None:
     with pytest.raises(OutOfLimits, match="reach"):
-        lab.arm.move_to(CartesianTarget((1.5, 0.0, 0.3), (1.62, 1.12, 0.16)))
+        lab.arm.move_to(jaco.CartesianTarget((1.5, 0.0, 0.3), (1.62, 1.12, 0.16)))
 
 
 @pytest.mark.parametrize("fingers", [(0, 0, 6801), (-1, 0, 0), (math.nan, 0, 0), (0, 0)])
@@ -888,7 +871,7 @@ def test_fingers_beyond_their_range_are_refused(lab: Simulated, fingers: tuple[f
 def test_it_moves_to_joint_angles_and_waits_until_it_is_there(lab: Simulated) -> None:
     target = J2N6S300.home_deg + np.array([10.0, -5.0, 8.0, 3.0, -10.0, 4.0])
     began_s = lab.now_s
-    np.testing.assert_allclose(lab.arm.move_to(JointTarget(tuple(target))).joints_deg, target, atol=0.5)
+    np.testing.assert_allclose(lab.arm.move_to(jaco.JointTarget(tuple(target))).joints_deg, target, atol=0.5)
     assert 0.4 < lab.now_s - began_s < 1.0  # 10 deg at 20 deg/s
     assert "SetAngularControl" in lab.recorded.names
 
@@ -897,15 +880,15 @@ def test_it_moves_to_a_pose_at_the_configured_speed(lab: Simulated) -> None:
     start = lab.arm.next(1.0)
     x, y, z = start.position_m
     began_s = lab.now_s
-    state = lab.arm.move_to(CartesianTarget((x + 0.05, y, z - 0.05), start.theta_rad))
+    state = lab.arm.move_to(jaco.CartesianTarget((x + 0.05, y, z - 0.05), start.theta_rad))
     np.testing.assert_allclose(state.position_m, (x + 0.05, y, z - 0.05), atol=2e-3)
     assert 1.3 < lab.now_s - began_s < 2.0  # 71 mm at 50 mm/s
     assert "SetCartesianControl" in lab.recorded.names
 
 
 def test_a_target_that_is_not_reached_in_time_stops_the_arm(lab: Simulated) -> None:
-    with pytest.raises(NotReached, match=r"0\.5 s"):
-        lab.arm.move_to(JointTarget(tuple(J2N6S300.home_deg + 30.0)), timeout_s=0.5)
+    with pytest.raises(jaco.NotReached, match=r"0\.5 s"):
+        lab.arm.move_to(jaco.JointTarget(tuple(J2N6S300.home_deg + 30.0)), timeout_s=0.5)
     stopped = lab.double.joints_deg
     lab.run(0.5)
     np.testing.assert_array_equal(lab.double.joints_deg, stopped)
@@ -921,12 +904,12 @@ def test_a_move_whose_caller_vanished_is_stopped_by_the_cycle(lab: Simulated) ->
 def test_one_thing_at_a_time(lab: Simulated) -> None:
     lab.arm.set_velocity(TURN, valid_for_s=5.0)
     with pytest.raises(OutOfLimits, match="moving"):
-        lab.arm.move_to(JointTarget(tuple(J2N6S300.home_deg)))
+        lab.arm.move_to(jaco.JointTarget(tuple(J2N6S300.home_deg)))
     before = lab.double.joints_deg
     lab.run(0.5)
     assert lab.double.joints_deg[0] - before[0] == pytest.approx(5.0, abs=0.11)  # what went on goes on
     lab.arm.stop()
-    lab.arm.move_to(JointTarget(tuple(J2N6S300.home_deg)))
+    lab.arm.move_to(jaco.JointTarget(tuple(J2N6S300.home_deg)))
     lab.arm._position_until_ns = lab.clock() + 100_000_000
     with pytest.raises(OutOfLimits, match="target"):
         lab.arm.set_velocity(TURN)
@@ -945,14 +928,14 @@ def test_stop_erases_at_once(lab: Simulated) -> None:
 
 
 def test_a_halt_holds_against_a_sender_that_goes_on() -> None:
-    double = JacoDouble()
+    double = jaco.JacoDouble()
     recorded = Recorded(double, time.monotonic_ns)
-    with Jaco(PATIENT, recorded) as arm:
+    with jaco.Jaco(PATIENT, recorded) as arm:
         over = threading.Event()
 
         def sender() -> None:
             while not over.is_set():
-                with contextlib.suppress(MotionStopped):
+                with contextlib.suppress(jaco.MotionStopped):
                     arm.set_velocity(TURN)
 
         thread = threading.Thread(target=sender)
@@ -965,19 +948,19 @@ def test_a_halt_holds_against_a_sender_that_goes_on() -> None:
         thread.join()
         assert [at_s for at_s, rate in recorded.points() if rate != 0.0 and at_s > halted_s] == []
         assert double.fifo_count == 0
-        with pytest.raises(MotionStopped, match="force"):
+        with pytest.raises(jaco.MotionStopped, match="force"):
             arm.set_velocity(TURN)
 
 
 def test_a_halt_ends_a_move_to_a_target() -> None:
-    double = JacoDouble()
-    with Jaco(PATIENT, double) as arm:
+    double = jaco.JacoDouble()
+    with jaco.Jaco(PATIENT, double) as arm:
         reported: list[BaseException] = []
 
         def mover() -> None:
             try:
-                arm.move_to(JointTarget(tuple(J2N6S300.home_deg + 40.0)))
-            except MotionStopped as error:
+                arm.move_to(jaco.JointTarget(tuple(J2N6S300.home_deg + 40.0)))
+            except jaco.MotionStopped as error:
                 reported.append(error)
 
         thread = threading.Thread(target=mover)
@@ -1020,14 +1003,14 @@ def test_the_arm_does_not_sink_however_often_its_fingers_move(lab: Simulated) ->
 
 
 def test_it_goes_home(lab: Simulated) -> None:
-    hold(lab.arm, JointVelocity((20.0, 10.0, 0.0, 0.0, -20.0, 0.0)), 1.0)
+    hold(lab.arm, jaco.JointVelocity((20.0, 10.0, 0.0, 0.0, -20.0, 0.0)), 1.0)
     np.testing.assert_allclose(lab.arm.home().joints_deg, J2N6S300.home_deg, atol=0.1)
 
 
-def test_the_rates_reported_are_those_of_the_joints_and_zero_at_rest(simulated: Jaco) -> None:
+def test_the_rates_reported_are_those_of_the_joints_and_zero_at_rest(simulated: jaco.Jaco) -> None:
     at_rest = [simulated.next(1.0) for _ in range(20)]
     assert max(abs(rate) for state in at_rest for rate in state.rates_deg_s) < 0.05
-    simulated.set_velocity(JointVelocity((20.0, -15.0, 0.0, 10.0, -5.0, 0.0)), valid_for_s=2.0)
+    simulated.set_velocity(jaco.JointVelocity((20.0, -15.0, 0.0, 10.0, -5.0, 0.0)), valid_for_s=2.0)
     until_ns = simulated._clock() + 500_000_000
     while simulated._clock() < until_ns:
         state = simulated.next(1.0)
@@ -1073,7 +1056,7 @@ def test_force_ranges_that_make_no_sense_are_refused(
 
 
 def test_the_seventh_joint_s_torque_is_zeroed_behind_the_fingers_addresses() -> None:
-    lab = Simulated(JacoConfig(), model="j2s7s300", start_deg=[180.0] * 7)
+    lab = Simulated(jaco.JacoConfig(), model="j2s7s300", start_deg=[180.0] * 7)
     with lab.arm.open(own_thread=False):
         lab.double.bias([0.5, 0.4, -0.3, 0.2, 0.1, -0.1, 0.3])
         lab.arm.set_torque_zero()
@@ -1098,17 +1081,17 @@ def test_torques_are_zeroed_in_the_candle_pose_alone() -> None:
 
 
 def test_a_link_lost_while_it_moves_comes_back_with_the_arm_stopped() -> None:
-    double = JacoDouble()
-    with Jaco(PATIENT, double, reconnect=QUICK) as arm:
+    double = jaco.JacoDouble()
+    with jaco.Jaco(PATIENT, double, reconnect=QUICK) as arm:
         arm.set_velocity(TURN, valid_for_s=30.0)
         wait_until(lambda: arm.health().extra["points_sent"] > 5)
         double.unplug()
         wait_until(lambda: arm.link is Link.LOST)
-        with pytest.raises(MotionStopped, match="lost"):
+        with pytest.raises(jaco.MotionStopped, match="lost"):
             arm.set_velocity(TURN)
         double.plug()
         wait_until(lambda: arm.link is Link.CONNECTED)
-        with pytest.raises(MotionStopped, match="lost"):
+        with pytest.raises(jaco.MotionStopped, match="lost"):
             arm.set_velocity(TURN)
         wait_until(lambda: double.fifo_count == 0)
         stopped = double.joints_deg
@@ -1120,14 +1103,14 @@ def test_a_link_lost_while_it_moves_comes_back_with_the_arm_stopped() -> None:
 
 
 def test_a_link_lost_on_the_way_to_a_target_is_reported_at_once() -> None:
-    double = JacoDouble()
-    with Jaco(PATIENT, double, reconnect=QUICK) as arm:
+    double = jaco.JacoDouble()
+    with jaco.Jaco(PATIENT, double, reconnect=QUICK) as arm:
         reported: list[BaseException] = []
 
         def mover() -> None:
             try:
-                arm.move_to(JointTarget(tuple(J2N6S300.home_deg + 40.0)), timeout_s=60.0)
-            except MotionStopped as error:
+                arm.move_to(jaco.JointTarget(tuple(J2N6S300.home_deg + 40.0)), timeout_s=60.0)
+            except jaco.MotionStopped as error:
                 reported.append(error)
 
         thread = threading.Thread(target=mover)
@@ -1171,14 +1154,14 @@ def test_a_pacer_keeps_its_schedule_and_counts_what_it_missed() -> None:
 )
 def test_a_configuration_that_makes_no_sense_is_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match="expected"):
-        JacoConfig(**wrong)
+        jaco.JacoConfig(**wrong)
 
 
 def test_boxes_and_addresses_are_checked() -> None:
     with pytest.raises(ValueError, match="low below high"):
-        Workspace((0.0, 0.0, 0.5), (1.0, 1.0, 0.4))
+        jaco.Workspace((0.0, 0.0, 0.5), (1.0, 1.0, 0.4))
     with pytest.raises(ValueError, match="192"):
-        EthernetAddresses(robot_ip="192.168.100.300")
+        jaco.EthernetAddresses(robot_ip="192.168.100.300")
 
 
 def test_the_fifo_is_reported_in_the_state() -> None:
@@ -1188,5 +1171,5 @@ def test_the_fifo_is_reported_in_the_state() -> None:
         lab.run(0.2)
         assert (
             lab.arm.latest(1.0).fifo_count
-            == read(lab.double, "GetGlobalTrajectoryInfo", TrajectoryFIFO).TrajectoryCount
+            == read(lab.double, "GetGlobalTrajectoryInfo", structures.TrajectoryFIFO).TrajectoryCount
         )

@@ -10,33 +10,10 @@ from deformscope_drivers.arm import kinematics
 from deformscope_drivers.arm.commands import CartesianVelocity, JointVelocity
 from deformscope_drivers.arm.kinematics import FloatArray
 from deformscope_drivers.errors import DeviceError
-from deformscope_drivers.jaco import errors
+from deformscope_drivers.jaco import errors, structures
 from deformscope_drivers.jaco.commands import velocity_point
 from deformscope_drivers.jaco.config import Workspace
 from deformscope_drivers.jaco.library import api_version, call, devices, read
-from deformscope_drivers.jaco.structures import (
-    AngularInfo,
-    AngularPosition,
-    AngularRates,
-    CartesianInfo,
-    CartesianPosition,
-    CartesianRates,
-    FingersPosition,
-    ForcesInfo,
-    GeneralInformations,
-    HandMode,
-    KinovaDevice,
-    PositionType,
-    QuickStatus,
-    RetractType,
-    SensorsInfo,
-    TrajectoryFIFO,
-    TrajectoryPoint,
-    ZoneList,
-    actuator_values,
-    cartesian_values,
-    finger_values,
-)
 from deformscope_drivers.jaco.zones import boxes_of, set_zones, zone_list
 from tests.drivers.jaco.benches import DEVICE_TYPES, VendorBench
 
@@ -66,11 +43,11 @@ class VendorContract:
 
     def test_nothing_works_before_it_is_initialised(self, bench: VendorBench) -> None:
         with pytest.raises(errors.ApiNotInitialized):
-            read(bench.functions, "GetAngularPosition", AngularPosition)
+            read(bench.functions, "GetAngularPosition", structures.AngularPosition)
         with pytest.raises(errors.ApiNotInitialized):
             devices(bench.functions)
         call(bench.functions, "InitAPI")
-        read(bench.functions, "GetAngularPosition", AngularPosition)
+        read(bench.functions, "GetAngularPosition", structures.AngularPosition)
         call(bench.functions, "CloseAPI")
         with pytest.raises(errors.ApiNotInitialized):
             call(bench.functions, "StartControlAPI")
@@ -83,10 +60,10 @@ class VendorContract:
         assert device.DeviceType == DEVICE_TYPES[bench.chain.name]
         call(bench.functions, "SetActiveDevice", device)
         with pytest.raises(errors.NoDeviceFound):
-            call(bench.functions, "SetActiveDevice", KinovaDevice(b"ANOTHER"))
+            call(bench.functions, "SetActiveDevice", structures.KinovaDevice(b"ANOTHER"))
 
     def test_general_informations_fit_their_structure(self, started: VendorBench) -> None:
-        found = read(started.functions, "GetGeneralInformations", GeneralInformations)
+        found = read(started.functions, "GetGeneralInformations", structures.GeneralInformations)
         assert found.SupplyVoltage == 24.0
         assert found.ConnectedActuatorCount == started.chain.joint_count
         assert bytes(found.ExpansionsBytes) == bytes(192)
@@ -94,8 +71,8 @@ class VendorContract:
     def test_a_code_on_demand_comes_once(self, started: VendorBench) -> None:
         started.inject("GetSensorsInfo", 1022)
         with pytest.raises(errors.CommunicationTimeout):
-            read(started.functions, "GetSensorsInfo", SensorsInfo)
-        assert read(started.functions, "GetSensorsInfo", SensorsInfo).Voltage == 24.0
+            read(started.functions, "GetSensorsInfo", structures.SensorsInfo)
+        assert read(started.functions, "GetSensorsInfo", structures.SensorsInfo).Voltage == 24.0
 
     def test_a_code_that_nobody_knows_becomes_an_exception_too(self, started: VendorBench) -> None:
         started.inject("EraseAllTrajectories", 4242)
@@ -106,17 +83,17 @@ class VendorContract:
     def test_a_joint_that_it_has_not_is_never_written(self, started: VendorBench) -> None:
         seven = started.chain.joint_count == 7
         for name in ("GetAngularPosition", "GetAngularVelocity", "GetAngularForceGravityFree", "GetAngularCurrent"):
-            poisoned = AngularPosition(AngularInfo(*[-77.0] * 7))
+            poisoned = structures.AngularPosition(structures.AngularInfo(*[-77.0] * 7))
             call(started.functions, name, poisoned)
             assert (poisoned.Actuators.Actuator7 == -77.0) != seven
             assert poisoned.Actuators.Actuator6 != -77.0
-        sensors = SensorsInfo(*[-77.0] * 15)
+        sensors = structures.SensorsInfo(*[-77.0] * 15)
         call(started.functions, "GetSensorsInfo", sensors)
         assert (sensors.ActuatorTemp7 == -77.0) != seven
 
     def test_a_read_starts_from_zero(self, started: VendorBench) -> None:
-        angles = read(started.functions, "GetAngularPosition", AngularPosition).Actuators
-        assert len(actuator_values(angles, started.chain.joint_count)) == started.chain.joint_count
+        angles = read(started.functions, "GetAngularPosition", structures.AngularPosition).Actuators
+        assert len(structures.actuator_values(angles, started.chain.joint_count)) == started.chain.joint_count
         if started.chain.joint_count == 6:
             assert angles.Actuator7 == 0.0
 
@@ -163,7 +140,7 @@ class VendorContract:
 
     def test_the_rates_are_reported_while_it_moves(self, started: VendorBench) -> None:
         stream(started, CartesianVelocity((0.03, 0.0, -0.02)), seconds=0.2)
-        cartesian, angular = CartesianRates(), AngularRates()
+        cartesian, angular = structures.CartesianRates(), structures.AngularRates()
         call(started.functions, "GetCommandVelocity", cartesian, angular)
         np.testing.assert_allclose(list(cartesian), (0.03, 0.0, -0.02, 0, 0, 0), atol=1e-3)
         made = started.chain.jacobian(joints(started)) @ np.radians(list(angular)[: started.chain.joint_count])
@@ -226,7 +203,7 @@ class VendorContract:
 
     def test_a_joint_position_is_reached_at_the_limited_speed(self, started: VendorBench) -> None:
         target = joints(started) + np.array([10.0, -10.0, 10.0, 20.0, -20.0, 20.0, -20.0])[: started.chain.joint_count]
-        point = position_point(PositionType.ANGULAR_POSITION, target, limits=(10.0, 20.0))
+        point = position_point(structures.PositionType.ANGULAR_POSITION, target, limits=(10.0, 20.0))
         call(started.functions, "SendAdvanceTrajectory", point)
         started.advance(0.5)
         assert np.max(np.abs(joints(started) - target)) == pytest.approx(10.0, abs=0.3)
@@ -237,7 +214,7 @@ class VendorContract:
 
     def test_a_basic_point_carries_no_limits(self, started: VendorBench) -> None:
         target = joints(started) + 10.0
-        point = position_point(PositionType.ANGULAR_POSITION, target, limits=(1.0, 1.0))
+        point = position_point(structures.PositionType.ANGULAR_POSITION, target, limits=(1.0, 1.0))
         call(started.functions, "SendBasicTrajectory", point)
         started.advance(0.4)
         np.testing.assert_allclose(joints(started), target, atol=SINGLE)
@@ -246,7 +223,7 @@ class VendorContract:
         start = pose(started)
         theta = kinematics.euler_xyz_from_rotation(start[:3, :3])
         goal_m = start[:3, 3] + np.array([0.06, 0.0, -0.08])
-        point = position_point(PositionType.CARTESIAN_POSITION, [*goal_m, *theta], limits=(0.1, 0.5))
+        point = position_point(structures.PositionType.CARTESIAN_POSITION, [*goal_m, *theta], limits=(0.1, 0.5))
         call(started.functions, "SendAdvanceTrajectory", point)
         started.advance(0.5)
         half_m = pose(started)[:3, 3] - start[:3, 3]
@@ -260,17 +237,17 @@ class VendorContract:
     def test_points_are_carried_out_one_after_the_other(self, started: VendorBench) -> None:
         here = joints(started)
         for target in (here + 2.0, here + 2.0, here):
-            point = position_point(PositionType.ANGULAR_POSITION, target, limits=(10.0, 10.0))
+            point = position_point(structures.PositionType.ANGULAR_POSITION, target, limits=(10.0, 10.0))
             call(started.functions, "SendAdvanceTrajectory", point)
-        actual = read(started.functions, "GetActualTrajectoryInfo", TrajectoryPoint)
+        actual = read(started.functions, "GetActualTrajectoryInfo", structures.TrajectoryPoint)
         assert actual.Position.Actuators.Actuator1 == pytest.approx(here[0] + 2.0)
         assert actual.Limitations.speedParameter2 == 10.0
         started.advance(1.0)
         np.testing.assert_allclose(joints(started), here, atol=SINGLE)
 
     def test_a_delay_holds_up_what_follows(self, started: VendorBench) -> None:
-        wait = TrajectoryPoint()
-        wait.Position.Type, wait.Position.Delay = PositionType.DELAY, 0.3
+        wait = structures.TrajectoryPoint()
+        wait.Position.Type, wait.Position.Delay = structures.PositionType.DELAY, 0.3
         call(started.functions, "SendBasicTrajectory", wait)
         before = joints(started)
         send(started, JointVelocity((10.0,) * started.chain.joint_count))
@@ -280,7 +257,7 @@ class VendorContract:
         np.testing.assert_allclose(joints(started) - before, 0.1, atol=SINGLE)
 
     def test_a_point_of_no_known_type_is_refused(self, started: VendorBench) -> None:
-        point = TrajectoryPoint()
+        point = structures.TrajectoryPoint()
         point.Position.Type = 99
         with pytest.raises(errors.InvalidParameter):
             call(started.functions, "SendBasicTrajectory", point)
@@ -303,9 +280,9 @@ class VendorContract:
         before = joints(started)
         started.sag(sag_deg.tolist())
         for name, sunk in (("GetAngularCommand", 0.0), ("GetAngularPosition", 1.0), ("GetAngularPosition", 2.0)):
-            angles = read(started.functions, name, AngularPosition).Actuators
-            held = actuator_values(angles, started.chain.joint_count)
-            point = position_point(PositionType.ANGULAR_POSITION, list(held), limits=(10.0, 10.0))
+            angles = read(started.functions, name, structures.AngularPosition).Actuators
+            held = structures.actuator_values(angles, started.chain.joint_count)
+            point = position_point(structures.PositionType.ANGULAR_POSITION, list(held), limits=(10.0, 10.0))
             call(started.functions, "SendAdvanceTrajectory", point)
             started.advance(0.5)
             np.testing.assert_allclose(joints(started), before + sunk * sag_deg, atol=SINGLE)
@@ -328,26 +305,28 @@ class VendorContract:
         call(cold.functions, "InitAPI")
         for _ in range(2):  # a cold arm ignores the first
             call(cold.functions, "StartControlAPI")
-        assert retract(cold) == RetractType.NOT_INITIALIZED
+        assert retract(cold) == structures.RetractType.NOT_INITIALIZED
         before = pose(cold)
-        point = position_point(PositionType.CARTESIAN_POSITION, [0.2, -0.3, 0.4, 1.6, 1.1, 0.1], limits=(0.1, 0.5))
+        point = position_point(
+            structures.PositionType.CARTESIAN_POSITION, [0.2, -0.3, 0.4, 1.6, 1.1, 0.1], limits=(0.1, 0.5)
+        )
         call(cold.functions, "SendAdvanceTrajectory", point)
         stream(cold, CartesianVelocity((0.0, 0.0, 0.03)), seconds=0.5)
         np.testing.assert_array_equal(pose(cold), before)
         stream(cold, JointVelocity((-20.0,) * cold.chain.joint_count), seconds=0.2)
         call(cold.functions, "MoveHome")
         cold.advance(0.1)
-        assert retract(cold) == RetractType.NORMAL_TO_READY
+        assert retract(cold) == structures.RetractType.NORMAL_TO_READY
         cold.advance(1.0)
-        assert retract(cold) == RetractType.READY_STANDBY
+        assert retract(cold) == structures.RetractType.READY_STANDBY
         stream(cold, CartesianVelocity((0.0, 0.0, 0.03)), seconds=1.0)
         assert pose(cold)[2, 3] - before[2, 3] == pytest.approx(0.03, abs=1e-3)
-        assert retract(cold) == RetractType.NORMAL_STANDBY
+        assert retract(cold) == structures.RetractType.NORMAL_STANDBY
 
     def test_fingers_go_to_a_position_within_their_range(self, started: VendorBench) -> None:
-        point = position_point(PositionType.ANGULAR_POSITION, joints(started), limits=(10.0, 10.0))
-        point.Position.HandMode = HandMode.POSITION
-        point.Position.Fingers = FingersPosition(3000.0, 9000.0, -5.0)
+        point = position_point(structures.PositionType.ANGULAR_POSITION, joints(started), limits=(10.0, 10.0))
+        point.Position.HandMode = structures.HandMode.POSITION
+        point.Position.Fingers = structures.FingersPosition(3000.0, 9000.0, -5.0)
         call(started.functions, "SendAdvanceTrajectory", point)
         started.advance(3.0)
         assert fingers(started) == (3000.0, 6800.0, 0.0)
@@ -356,17 +335,17 @@ class VendorContract:
     def test_fingers_move_at_a_velocity(self, started: VendorBench) -> None:
         for _ in range(100):
             point = velocity_point(JointVelocity((0.0,) * started.chain.joint_count))
-            point.Position.HandMode = HandMode.VELOCITY
-            point.Position.Fingers = FingersPosition(1000.0, 2000.0, -100.0)
+            point.Position.HandMode = structures.HandMode.VELOCITY
+            point.Position.Fingers = structures.FingersPosition(1000.0, 2000.0, -100.0)
             call(started.functions, "SendBasicTrajectory", point)
             started.advance(CYCLE_S)
         np.testing.assert_allclose(fingers(started), (1000.0, 2000.0, 0.0), atol=25.0)
 
     def test_fingers_open_when_they_are_initialised(self, started: VendorBench) -> None:
-        assert read(started.functions, "GetQuickStatus", QuickStatus).Finger1Status == 0
+        assert read(started.functions, "GetQuickStatus", structures.QuickStatus).Finger1Status == 0
         call(started.functions, "InitFingers")
         started.advance(2.0)
-        status = read(started.functions, "GetQuickStatus", QuickStatus)
+        status = read(started.functions, "GetQuickStatus", structures.QuickStatus)
         assert (status.Finger1Status, status.Finger2Status, status.Finger3Status) == (1, 1, 1)
         assert fingers(started) == (0.0, 0.0, 0.0)
 
@@ -380,10 +359,10 @@ class VendorContract:
     def test_a_cold_arm_ignores_the_first_start(self, cold: VendorBench) -> None:
         call(cold.functions, "InitAPI")
         call(cold.functions, "StartControlAPI")
-        assert read(cold.functions, "GetQuickStatus", QuickStatus).ControlEnableStatus == 1
+        assert read(cold.functions, "GetQuickStatus", structures.QuickStatus).ControlEnableStatus == 1
         call(cold.functions, "StopControlAPI")
         call(cold.functions, "StartControlAPI")
-        assert read(cold.functions, "GetQuickStatus", QuickStatus).ControlEnableStatus == 0
+        assert read(cold.functions, "GetQuickStatus", structures.QuickStatus).ControlEnableStatus == 0
         before = joints(cold)
         stream(cold, JointVelocity((20.0,) * cold.chain.joint_count), seconds=0.1)
         np.testing.assert_allclose(joints(cold) - before, 2.0, atol=SINGLE)
@@ -402,31 +381,31 @@ class VendorContract:
         started.push(push.tolist())
         count = started.chain.joint_count
         torque_nm = started.chain.jacobian(joints(started)).T @ push
-        reported = read(started.functions, "GetCartesianForce", CartesianPosition)
-        np.testing.assert_allclose(cartesian_values(reported.Coordinates), push, atol=1e-5)
-        free = read(started.functions, "GetAngularForceGravityFree", AngularPosition)
-        np.testing.assert_allclose(actuator_values(free.Actuators, count), torque_nm, atol=1e-4)
-        both = read(started.functions, "GetForcesInfo", ForcesInfo)
+        reported = read(started.functions, "GetCartesianForce", structures.CartesianPosition)
+        np.testing.assert_allclose(structures.cartesian_values(reported.Coordinates), push, atol=1e-5)
+        free = read(started.functions, "GetAngularForceGravityFree", structures.AngularPosition)
+        np.testing.assert_allclose(structures.actuator_values(free.Actuators, count), torque_nm, atol=1e-4)
+        both = read(started.functions, "GetForcesInfo", structures.ForcesInfo)
         np.testing.assert_allclose([both.Actuator1, both.Actuator2, both.Actuator3], torque_nm[:3], atol=1e-4)
         np.testing.assert_allclose([both.X, both.Y, both.Z, both.ThetaX, both.ThetaY, both.ThetaZ], push, atol=1e-5)
 
     def test_pairs_of_structures_go_by_value_in_their_order(self, started: VendorBench) -> None:
         first, second = [1.5, 2, 3, 4, 5, 6], [7.0, 8, 9, 10, 11, 12]
         for name in ("SetCartesianForceMinMax", "SetCartesianInertiaDamping"):
-            call(started.functions, name, CartesianInfo(*first), CartesianInfo(*second))
+            call(started.functions, name, structures.CartesianInfo(*first), structures.CartesianInfo(*second))
             np.testing.assert_array_equal(started.last_pair(6), [first, second])
         count = started.chain.joint_count
         more, most = [*first, 13.0], [*second, 14.0]
         for name in ("SetAngularTorqueMinMax", "SetAngularInertiaDamping"):
-            call(started.functions, name, AngularInfo(*more), AngularInfo(*most))
+            call(started.functions, name, structures.AngularInfo(*more), structures.AngularInfo(*most))
             np.testing.assert_array_equal(started.last_pair(7)[:, :count], [more[:count], most[:count]])
 
     def test_force_control_is_switched_and_reported(self, started: VendorBench) -> None:
-        assert read(started.functions, "GetQuickStatus", QuickStatus).ForceControlStatus == 1
+        assert read(started.functions, "GetQuickStatus", structures.QuickStatus).ForceControlStatus == 1
         call(started.functions, "StartForceControl")
-        assert read(started.functions, "GetQuickStatus", QuickStatus).ForceControlStatus == 0
+        assert read(started.functions, "GetQuickStatus", structures.QuickStatus).ForceControlStatus == 0
         call(started.functions, "StopForceControl")
-        assert read(started.functions, "GetQuickStatus", QuickStatus).ForceControlStatus == 1
+        assert read(started.functions, "GetQuickStatus", structures.QuickStatus).ForceControlStatus == 1
 
     def test_torques_are_zeroed_at_the_addresses_of_the_joints_alone(self, started: VendorBench) -> None:
         """The seventh joint is at 25, behind the three fingers: kinova-ros `kinova_comm.cpp`, setZeroTorque."""
@@ -442,7 +421,7 @@ class VendorContract:
         boxes = Workspace((-1.0, -0.9, -1.0), (1.0, 0.9, -0.01)), Workspace((0.2, 0.3, 0.1), (0.4, 0.5, 0.6))
         for given in (boxes, boxes[:1], ()):
             set_zones(bench.functions, given, lambda: None)
-            kept = boxes_of(read(bench.functions, "GetProtectionZone", ZoneList))
+            kept = boxes_of(read(bench.functions, "GetProtectionZone", structures.ZoneList))
             np.testing.assert_allclose([(*a.low_m, *a.high_m) for a in kept], [(*a.low_m, *a.high_m) for a in given])
         too_many = zone_list(boxes)
         too_many.NbZones = 11
@@ -462,48 +441,50 @@ def stream(bench: VendorBench, velocity: JointVelocity | CartesianVelocity, seco
 
 
 def position_point(
-    kind: PositionType, values: FloatArray | list[float], limits: tuple[float, float]
-) -> TrajectoryPoint:
-    point = TrajectoryPoint()
+    kind: structures.PositionType, values: FloatArray | list[float], limits: tuple[float, float]
+) -> structures.TrajectoryPoint:
+    point = structures.TrajectoryPoint()
     point.Position.Type = kind
-    if kind is PositionType.ANGULAR_POSITION:
-        point.Position.Actuators = AngularInfo(*values)
+    if kind is structures.PositionType.ANGULAR_POSITION:
+        point.Position.Actuators = structures.AngularInfo(*values)
     else:
-        point.Position.CartesianPosition = CartesianInfo(*values)
+        point.Position.CartesianPosition = structures.CartesianInfo(*values)
     point.LimitationsActive = 1
     point.Limitations.speedParameter1, point.Limitations.speedParameter2 = limits
     return point
 
 
 def joints(bench: VendorBench) -> FloatArray:
-    angles = read(bench.functions, "GetAngularPosition", AngularPosition).Actuators
-    return np.array(actuator_values(angles, bench.chain.joint_count))
+    angles = read(bench.functions, "GetAngularPosition", structures.AngularPosition).Actuators
+    return np.array(structures.actuator_values(angles, bench.chain.joint_count))
 
 
 def rates_deg_s(bench: VendorBench) -> FloatArray:
     """The rates (n,) that the arm was commanded: it holds them within the cycle."""
-    cartesian, angular = CartesianRates(), AngularRates()
+    cartesian, angular = structures.CartesianRates(), structures.AngularRates()
     call(bench.functions, "GetCommandVelocity", cartesian, angular)
     return np.array(list(angular)[: bench.chain.joint_count])
 
 
 def shown_rates_deg_s(bench: VendorBench) -> FloatArray:
-    rates = read(bench.functions, "GetAngularVelocity", AngularPosition).Actuators
-    return np.array(actuator_values(rates, bench.chain.joint_count))
+    rates = read(bench.functions, "GetAngularVelocity", structures.AngularPosition).Actuators
+    return np.array(structures.actuator_values(rates, bench.chain.joint_count))
 
 
 def pose(bench: VendorBench) -> FloatArray:
-    x, y, z, *theta = cartesian_values(read(bench.functions, "GetCartesianPosition", CartesianPosition).Coordinates)
+    x, y, z, *theta = structures.cartesian_values(
+        read(bench.functions, "GetCartesianPosition", structures.CartesianPosition).Coordinates
+    )
     return kinematics.transform(Rotation.from_euler("XYZ", theta).as_matrix(), (x, y, z))
 
 
 def fingers(bench: VendorBench) -> tuple[float, float, float]:
-    return finger_values(read(bench.functions, "GetAngularPosition", AngularPosition).Fingers)
+    return structures.finger_values(read(bench.functions, "GetAngularPosition", structures.AngularPosition).Fingers)
 
 
 def retract(bench: VendorBench) -> int:
-    return read(bench.functions, "GetQuickStatus", QuickStatus).RetractType
+    return read(bench.functions, "GetQuickStatus", structures.QuickStatus).RetractType
 
 
-def fifo(bench: VendorBench) -> TrajectoryFIFO:
-    return read(bench.functions, "GetGlobalTrajectoryInfo", TrajectoryFIFO)
+def fifo(bench: VendorBench) -> structures.TrajectoryFIFO:
+    return read(bench.functions, "GetGlobalTrajectoryInfo", structures.TrajectoryFIFO)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from deformscope_drivers import sdh
 from deformscope_drivers.device import Reconnect
 from deformscope_drivers.doubles import Double
 from deformscope_drivers.errors import (
@@ -22,18 +23,6 @@ from deformscope_drivers.errors import (
 )
 from deformscope_drivers.health import Link
 from deformscope_drivers.memory import MemoryTransport, SimulatedClock
-from deformscope_drivers.sdh import (
-    AxisState,
-    CurrentMode,
-    Grasp,
-    Outcome,
-    Port,
-    Sdh,
-    SdhConfig,
-    SdhDouble,
-    Toward,
-    VelocityProfile,
-)
 from deformscope_drivers.sdh.codes import ERRORS
 from deformscope_drivers.wires import CanWire, PtyWire, TcpWire
 from tests.drivers.buses import udp_bus
@@ -44,17 +33,17 @@ QUICK = Reconnect(0.01, 0.1)
 POSE = [0.0, -20.0, 20.0, -20.0, 20.0, -20.0, 20.0]
 
 
-def silence(double: SdhDouble, silent: bool) -> None:
+def silence(double: sdh.SdhDouble, silent: bool) -> None:
     double.silent = silent
 
 
-def config(**settings) -> SdhConfig:
-    return SdhConfig(**{"rate_hz": 80.0, "reply_timeout_s": 0.1, "reconnect": QUICK, **settings})
+def config(**settings) -> sdh.SdhConfig:
+    return sdh.SdhConfig(**{"rate_hz": 80.0, "reply_timeout_s": 0.1, "reconnect": QUICK, **settings})
 
 
-def bench_of(double: SdhDouble, wire: PtyWire | TcpWire, **settings) -> Bench:
+def bench_of(double: sdh.SdhDouble, wire: PtyWire | TcpWire, **settings) -> Bench:
     return Bench(
-        Sdh(config(port=wire.port, **settings)),
+        sdh.Sdh(config(port=wire.port, **settings)),
         wire.unplug,
         wire.plug,
         lambda: silence(double, True),
@@ -66,7 +55,7 @@ def bench_of(double: SdhDouble, wire: PtyWire | TcpWire, **settings) -> Bench:
 class TestOverAPty(DeviceContract):
     @pytest.fixture
     def bench(self, firmware: str) -> Iterator[Bench]:
-        double = SdhDouble(firmware=firmware)
+        double = sdh.SdhDouble(firmware=firmware)
         with PtyWire(double) as wire:
             yield bench_of(double, wire, rate_hz=40.0)
 
@@ -75,33 +64,33 @@ class TestOverAPty(DeviceContract):
 class TestOverTcp(DeviceContract):
     @pytest.fixture
     def bench(self) -> Iterator[Bench]:
-        double = SdhDouble(Port.TCP)
+        double = sdh.SdhDouble(sdh.Port.TCP)
         with TcpWire(double) as wire:
             yield bench_of(double, wire)
 
 
 def test_over_tcp() -> None:
-    with TcpWire(SdhDouble(Port.TCP)) as wire, Sdh(config(port=wire.port)) as hand:
+    with TcpWire(sdh.SdhDouble(sdh.Port.TCP)) as wire, sdh.Sdh(config(port=wire.port)) as hand:
         assert hand.about.binary
-        assert hand.move({1: 5.0}, velocity_deg_s=80.0).outcome is Outcome.REACHED
+        assert hand.move({1: 5.0}, velocity_deg_s=80.0).outcome is sdh.Outcome.REACHED
 
 
 @pytest.mark.parametrize("bus", ["virtual:sdh", udp_bus()], ids=["virtual", "udp"])
 class TestOverCan(DeviceContract):
     @pytest.fixture
     def bench(self, bus: str) -> Iterator[Bench]:
-        double = SdhDouble(Port.CAN)
+        double = sdh.SdhDouble(sdh.Port.CAN)
         with CanWire(double, bus, receive_id=43, send_id=42) as wire:
             del wire  # a bus stays when a device leaves it: what is seen is silence
-            device = Sdh(config(bus=bus))
+            device = sdh.Sdh(config(bus=bus))
             yield Bench(device, None, None, lambda: silence(double, True), lambda: silence(double, False))
 
 
 @dataclass
 class Lab:
-    double: SdhDouble
+    double: sdh.SdhDouble
     clock: SimulatedClock
-    hand: Sdh
+    hand: sdh.Sdh
     transport: MemoryTransport
 
     def run(self, seconds: float) -> None:
@@ -120,12 +109,12 @@ Make = Callable[..., Lab]
 def lab() -> Iterator[Make]:
     opened: list[Lab] = []
 
-    def make(double: SdhDouble | None = None, wire: Double | None = None, **settings) -> Lab:
-        double = double or SdhDouble()
+    def make(double: sdh.SdhDouble | None = None, wire: Double | None = None, **settings) -> Lab:
+        double = double or sdh.SdhDouble()
         clock = SimulatedClock()
         double.power_up(0)
         transport = MemoryTransport(wire or double, clock)
-        hand = Sdh(config(port="memory", **settings), transport=transport, clock=clock)
+        hand = sdh.Sdh(config(port="memory", **settings), transport=transport, clock=clock)
         opened.append(Lab(double, clock, hand.open(own_thread=False), transport))
         return opened[-1]
 
@@ -135,25 +124,25 @@ def lab() -> Iterator[Make]:
 
 
 def test_opening_is_schunks_way(lab: Make) -> None:
-    double = SdhDouble(firmware="0.0.2.15", serial_number="77")
+    double = sdh.SdhDouble(firmware="0.0.2.15", serial_number="77")
     made = lab(double)
     about = made.hand.about
     assert (about.firmware, about.serial_number, about.binary) == ("0.0.2.15", "77", True)
     assert about.limits.velocity_max_deg_s[:2] == (80.0, 100.0)
     assert about.limits.acceleration_max_deg_s2 == (5000.0, 400.0, 1500.0, 400.0, 1500.0, 400.0, 1500.0)
     assert made.hand.identity().firmware == "0.0.2.15"
-    assert {axis.state for axis in double.motion.axes} == {AxisState.DISABLED}  # nothing was moved or switched on
+    assert {axis.state for axis in double.motion.axes} == {sdh.AxisState.DISABLED}  # nothing was moved or switched on
 
 
 def test_half_a_command_of_another_program_does_no_harm(lab: Make) -> None:
-    double = SdhDouble()
+    double = sdh.SdhDouble()
     double.receive(b"p=1,2", 0)
     assert lab(double).hand.about.firmware == "0.0.3.2"
 
 
 @pytest.mark.parametrize(("firmware", "binary"), [("0.0.2.14", False), ("0.0.2.15", True), ("0.0.3.1", True)])
 def test_the_protocol_follows_the_firmware(lab: Make, firmware: str, binary: bool) -> None:
-    made = lab(SdhDouble(firmware=firmware))
+    made = lab(sdh.SdhDouble(firmware=firmware))
     chunks = made.hand.raw()
     made.hand.poll(1.0)
     sent = b"".join(chunk.data for chunk in chunks.take() if chunk.sent)
@@ -165,11 +154,11 @@ def test_the_protocol_follows_the_firmware(lab: Make, firmware: str, binary: boo
 def test_binary_may_be_refused_and_ascii_asked_for(lab: Make) -> None:
     assert not lab(protocol="ascii").hand.about.binary
     with pytest.raises(SettingsRefused, match=r"0\.0\.2\.15"):
-        lab(SdhDouble(firmware="0.0.2.10"), protocol="binary")
+        lab(sdh.SdhDouble(firmware="0.0.2.10"), protocol="binary")
 
 
 def test_a_hand_that_does_not_answer(lab: Make) -> None:
-    double = SdhDouble()
+    double = sdh.SdhDouble()
     double.silent = True
     with pytest.raises(NoReply, match=r"ver within 3 x 1 s.*supply"):
         lab(double)
@@ -177,31 +166,31 @@ def test_a_hand_that_does_not_answer(lab: Make) -> None:
 
 def test_a_firmware_that_is_none(lab: Make) -> None:
     with pytest.raises(ProtocolViolation, match="firmware"):
-        lab(SdhDouble(firmware="nonsense"))
+        lab(sdh.SdhDouble(firmware="nonsense"))
 
 
 def test_it_needs_exactly_one_way_to_the_hand() -> None:
     for settings in ({}, {"port": "/dev/ttyUSB0", "bus": "virtual:a"}):
         with pytest.raises(NotConnected, match="port or a bus"):
-            Sdh(SdhConfig(**settings))
-    assert SdhConfig(port="/dev/ttyUSB0").checksummed()
-    assert not SdhConfig(port="socket://192.168.1.1:23").checksummed()
-    assert not SdhConfig(bus="socketcan:can0").checksummed()
+            sdh.Sdh(sdh.SdhConfig(**settings))
+    assert sdh.SdhConfig(port="/dev/ttyUSB0").checksummed()
+    assert not sdh.SdhConfig(port="socket://192.168.1.1:23").checksummed()
+    assert not sdh.SdhConfig(bus="socketcan:can0").checksummed()
 
 
 @pytest.mark.parametrize("settings", [{"rate_hz": 0.0}, {"rate_hz": math.nan}, {"protocol": "telepathy"}])
 def test_settings_that_cannot_be(settings: dict) -> None:
     with pytest.raises(OutOfLimits):
-        SdhConfig(port="x", **settings)
+        sdh.SdhConfig(port="x", **settings)
 
 
 def test_readings_say_where_the_hand_is(lab: Make) -> None:
-    double = SdhDouble()
+    double = sdh.SdhDouble()
     double.place((10.0, -20.0, 30.0, -40.0, 50.0, -60.0, 70.0))
     reading = lab(double).hand.next(1.0)
     assert reading.position_deg == pytest.approx([10, -20, 30, -40, 50, -60, 70])
     assert reading.velocity_deg_s == pytest.approx([0] * 7)
-    assert reading.state == (AxisState.DISABLED,) * 7
+    assert reading.state == (sdh.AxisState.DISABLED,) * 7
     assert reading.temperature_c is not None
     assert reading.temperature_c == pytest.approx([24] * 7 + [38, 32])
     with pytest.raises(ValueError):
@@ -220,9 +209,9 @@ def test_the_rate_is_as_asked_up_to_what_the_line_has_room_for(lab: Make) -> Non
 
 @pytest.mark.parametrize("firmware", ["0.0.3.2", "0.0.2.10", "0.0.2.0"])
 def test_a_move_comes_to_its_targets(lab: Make, firmware: str) -> None:
-    made = lab(SdhDouble(firmware=firmware))
+    made = lab(sdh.SdhDouble(firmware=firmware))
     result = made.hand.move(POSE, velocity_deg_s=40.0)
-    assert result.outcome is Outcome.REACHED
+    assert result.outcome is sdh.Outcome.REACHED
     assert result.duration_s == pytest.approx(1.0)  # sin²: 2 * 20 / 40
     assert 1.0 <= result.elapsed_s < 1.2
     assert result.error_deg == pytest.approx(0.0, abs=1e-6)
@@ -233,17 +222,20 @@ def test_a_move_comes_to_its_targets(lab: Make, firmware: str) -> None:
 def test_a_ramp_and_speeds_by_axis(lab: Make) -> None:
     made = lab()
     result = made.hand.move(
-        [40.0] + [0.0] * 6, velocity_deg_s=[20.0] + [100.0] * 6, acceleration_deg_s2=100.0, profile=VelocityProfile.RAMP
+        [40.0] + [0.0] * 6,
+        velocity_deg_s=[20.0] + [100.0] * 6,
+        acceleration_deg_s2=100.0,
+        profile=sdh.VelocityProfile.RAMP,
     )
     assert result.duration_s == pytest.approx(40 / 20 + 20 / 100)
-    assert result.outcome is Outcome.REACHED
+    assert result.outcome is sdh.Outcome.REACHED
 
 
 def test_some_axes_move_and_the_others_stay(lab: Make) -> None:
-    double = SdhDouble()
+    double = sdh.SdhDouble()
     double.place((0.0, 90.3, 0.0, -5.0, 0.0, 0.0, 0.0))  # angles are reported up to half a degree beyond the range
     made = lab(double)
-    assert made.hand.move({2: 15.0, 6: -15.0}).outcome is Outcome.REACHED
+    assert made.hand.move({2: 15.0, 6: -15.0}).outcome is sdh.Outcome.REACHED
     assert made.position_deg() == pytest.approx((0, 90.0, 15, -5, 0, 0, -15))
 
 
@@ -252,18 +244,18 @@ def test_a_blocked_axis_is_reported(lab: Make) -> None:
     made.double.obstruct(1, low_deg=-8.0)
     made.double.obstruct(2, high_deg=12.0)
     result = made.hand.move(POSE)
-    assert result.outcome is Outcome.BLOCKED
+    assert result.outcome is sdh.Outcome.BLOCKED
     assert result.blocked == (1, 2)
     assert result.error_deg == pytest.approx(12.0)
-    assert result.reading.state[1:3] == (AxisState.CCW_BLOCKED, AxisState.CW_BLOCKED)
+    assert result.reading.state[1:3] == (sdh.AxisState.CCW_BLOCKED, sdh.AxisState.CW_BLOCKED)
     assert made.position_deg() == pytest.approx((0, -8, 12, -20, 20, -20, 20))
     made.double.obstruct(1)
     made.double.obstruct(2)
-    assert made.hand.move(POSE).outcome is Outcome.REACHED
+    assert made.hand.move(POSE).outcome is sdh.Outcome.REACHED
 
 
 def test_idle_is_not_believed_too_soon(lab: Make) -> None:
-    made = lab(SdhDouble(state_lag_s=0.4))
+    made = lab(sdh.SdhDouble(state_lag_s=0.4))
     assert made.hand.move(POSE).elapsed_s >= 1.0
     assert made.position_deg() == tuple(POSE)
     assert 0.5 <= made.hand.move(POSE).elapsed_s < 0.7  # nothing to do: believed after IPA's half second
@@ -272,20 +264,20 @@ def test_idle_is_not_believed_too_soon(lab: Make) -> None:
 def test_stop_half_way(lab: Make) -> None:
     made = lab()
     started = made.hand.move([0.0, 80.0, 0, 0, 0, 0, 0], wait=False)
-    assert started.outcome is Outcome.STARTED
+    assert started.outcome is sdh.Outcome.STARTED
     assert started.duration_s == pytest.approx(4.0)
     made.run(2.0)
     report = made.hand.stop()
     result = made.hand.wait_until_still(2.0)
     assert report.grip_left_s == 0.0
-    assert result.outcome is Outcome.REACHED
+    assert result.outcome is sdh.Outcome.REACHED
     assert made.position_deg()[1] == pytest.approx(40 + 40**2 / 200, abs=2.0)  # slowed down by 100 deg/s²
 
 
 def test_what_takes_too_long_is_stopped(lab: Make) -> None:
     made = lab()
     result = made.hand.move([0.0, 80.0, 0, 0, 0, 0, 0], timeout_s=2.0)
-    assert result.outcome is Outcome.TIMED_OUT
+    assert result.outcome is sdh.Outcome.TIMED_OUT
     assert result.error_deg > 20
     assert not made.double.motion.moving
 
@@ -306,7 +298,7 @@ def test_ctrl_c_stops_the_hand(lab: Make, monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_a_slow_rate_is_given_its_time(lab: Make) -> None:
-    assert lab(rate_hz=0.5).hand.move(POSE).outcome is Outcome.REACHED
+    assert lab(rate_hz=0.5).hand.move(POSE).outcome is sdh.Outcome.REACHED
 
 
 def test_a_move_that_misses_says_so(lab: Make) -> None:
@@ -319,10 +311,10 @@ def test_a_move_that_misses_says_so(lab: Make) -> None:
 
 def test_grips(lab: Make) -> None:
     made = lab()
-    selected = made.hand.select_grip(Grasp.SPHERICAL)
-    assert selected.outcome is Outcome.REACHED
+    selected = made.hand.select_grip(sdh.Grasp.SPHERICAL)
+    assert selected.outcome is sdh.Outcome.REACHED
     assert selected.duration_s == pytest.approx(3.0)  # 60 deg at 40 deg/s
-    assert made.hand.grip(1.0, 100.0).outcome is Outcome.REACHED
+    assert made.hand.grip(1.0, 100.0).outcome is sdh.Outcome.REACHED
     assert made.position_deg() == pytest.approx((60, -15, 55, -15, 55, -15, 55))
     made.double.obstruct(3, low_deg=-25.0)
     assert made.hand.grip(0.0, 50.0).blocked == (3,)
@@ -330,23 +322,23 @@ def test_grips(lab: Make) -> None:
 
 def test_a_grip_is_not_stopped_and_that_is_reported(lab: Make) -> None:
     made = lab()
-    made.hand.select_grip(Grasp.PARALLEL)
+    made.hand.select_grip(sdh.Grasp.PARALLEL)
     made.hand.grip(0.0, 50.0, wait=False)  # 75 deg: 3 s
     made.run(1.0)
     assert made.hand.stop().grip_left_s == pytest.approx(2.0, abs=0.1)
     with pytest.raises(SettingsRefused, match="power"):
         made.hand.power(False)
-    assert made.hand.wait_until_still(5.0).outcome is Outcome.REACHED
+    assert made.hand.wait_until_still(5.0).outcome is sdh.Outcome.REACHED
     assert made.position_deg()[1] == pytest.approx(-75.0)
     assert made.hand.stop().grip_left_s == 0.0
 
 
 def test_old_firmware_answers_a_grip_when_it_is_done(lab: Make) -> None:
-    made = lab(SdhDouble(firmware="0.0.2.10"))
-    made.hand.select_grip(Grasp.PARALLEL)
+    made = lab(sdh.SdhDouble(firmware="0.0.2.10"))
+    made.hand.select_grip(sdh.Grasp.PARALLEL)
     result = made.hand.grip(0.1, 40.0)
     assert result.duration_s is None
-    assert result.outcome is Outcome.REACHED
+    assert result.outcome is sdh.Outcome.REACHED
     assert made.position_deg() == pytest.approx((0, -66.8, 66.8, -66.8, 66.8, -66.8, 66.8))
 
 
@@ -357,7 +349,7 @@ def test_a_velocity_goes_on_while_it_is_called_for(lab: Make) -> None:
         made.run(0.1)
     assert made.hand.latest(0.1).velocity_deg_s == pytest.approx([0, 30, 0, 0, 0, 0, -10])
     made.run(0.05)
-    assert made.hand.latest(0.1).state[1] is AxisState.SPEED_MODE
+    assert made.hand.latest(0.1).state[1] is sdh.AxisState.SPEED_MODE
     driven = made.position_deg()
     assert driven[1] == pytest.approx(30 * 1.05, rel=0.08)
     assert driven[6] == pytest.approx(-10 * 1.05, rel=0.08)
@@ -366,8 +358,8 @@ def test_a_velocity_goes_on_while_it_is_called_for(lab: Make) -> None:
     made.run(1.0)
     assert made.position_deg() == held
     assert held[1] - driven[1] < 30 * 0.15
-    assert made.hand.latest(0.1).state[1] is AxisState.IDLE
-    assert made.hand.move(POSE).outcome is Outcome.REACHED  # back to poses
+    assert made.hand.latest(0.1).state[1] is sdh.AxisState.IDLE
+    assert made.hand.move(POSE).outcome is sdh.Outcome.REACHED  # back to poses
 
 
 def test_a_velocity_with_ramp_and_stop(lab: Make) -> None:
@@ -383,7 +375,7 @@ def test_a_velocity_with_ramp_and_stop(lab: Make) -> None:
 
 def test_velocities_need_a_newer_firmware(lab: Make) -> None:
     with pytest.raises(SettingsRefused, match=r"0\.0\.2\.6"):
-        lab(SdhDouble(firmware="0.0.2.5")).hand.drive([0.0] * 7)
+        lab(sdh.SdhDouble(firmware="0.0.2.5")).hand.drive([0.0] * 7)
 
 
 def test_an_axis_driven_to_the_end_of_its_range_says_so(lab: Make) -> None:
@@ -392,7 +384,7 @@ def test_an_axis_driven_to_the_end_of_its_range_says_so(lab: Make) -> None:
     for _ in range(8):
         made.hand.drive([0, 20.0, 0, 0, 0, 0, 0])
         made.run(0.1)
-    assert made.hand.latest(0.1).state[1] is AxisState.LIMITS_REACHED
+    assert made.hand.latest(0.1).state[1] is sdh.AxisState.LIMITS_REACHED
     assert made.position_deg()[1] == 90.0
 
 
@@ -401,10 +393,10 @@ def test_power_and_currents(lab: Make) -> None:
     made.hand.power([True] + [False] * 6)
     assert made.hand.powered() == (True,) + (False,) * 6
     made.hand.set_current_limits(0.25)
-    made.hand.set_current_limits([0.1] * 7, CurrentMode.HOLD)
+    made.hand.set_current_limits([0.1] * 7, sdh.CurrentMode.HOLD)
     assert made.hand.current_limits_a() == pytest.approx((0.25,) * 7)
-    assert made.hand.current_limits_a(CurrentMode.HOLD) == pytest.approx((0.1,) * 7)
-    assert made.hand.current_limits_a(CurrentMode.GRIP) == pytest.approx((1.0, *[0.5] * 6))
+    assert made.hand.current_limits_a(sdh.CurrentMode.HOLD) == pytest.approx((0.1,) * 7)
+    assert made.hand.current_limits_a(sdh.CurrentMode.GRIP) == pytest.approx((1.0, *[0.5] * 6))
 
 
 def test_a_velocity_switches_axes_on_again(lab: Make) -> None:
@@ -420,13 +412,13 @@ def test_a_velocity_switches_axes_on_again(lab: Make) -> None:
 
 def test_reference(lab: Make) -> None:
     made = lab()
-    made.hand.reference({0: Toward.POSITIVE})
+    made.hand.reference({0: sdh.Toward.POSITIVE})
     assert made.position_deg()[0] == 90.0
     assert made.clock() > 7.2e9
 
 
-@pytest.mark.parametrize(("leave_powered", "expected"), [(False, AxisState.DISABLED), (True, AxisState.IDLE)])
-def test_closing_switches_off_what_was_switched_on(lab: Make, leave_powered: bool, expected: AxisState) -> None:
+@pytest.mark.parametrize(("leave_powered", "expected"), [(False, sdh.AxisState.DISABLED), (True, sdh.AxisState.IDLE)])
+def test_closing_switches_off_what_was_switched_on(lab: Make, leave_powered: bool, expected: sdh.AxisState) -> None:
     made = lab(leave_powered=leave_powered)
     made.hand.move({1: 60.0}, wait=False)
     made.run(0.5)
@@ -469,7 +461,7 @@ REFUSED = [
     lambda hand: hand.set_current_limits([0.1] * 6),
     lambda hand: hand.power([True]),
     lambda hand: hand.reference({}),
-    lambda hand: hand.reference({8: Toward.POSITIVE}),
+    lambda hand: hand.reference({8: sdh.Toward.POSITIVE}),
 ]
 
 
@@ -513,7 +505,7 @@ def test_a_hand_that_keeps_another_value_is_not_believed(lab: Make) -> None:
     made.double.refuse_next(24)
     with pytest.raises(CommandRefused, match="RANGE_ERROR"):
         made.hand.move({1: 0.0})
-    assert made.hand.move({1: 0.0}).outcome is Outcome.REACHED
+    assert made.hand.move({1: 0.0}).outcome is sdh.Outcome.REACHED
 
 
 def test_debug_lines_and_noise_are_overheard(lab: Make) -> None:
@@ -534,7 +526,7 @@ def test_an_answer_that_makes_no_reading_is_counted_and_the_next_one_comes(lab: 
     made.double.motion.axes[2].state = 8  # type: ignore[assignment]
     made.run(0.1)
     refused = made.hand.health().refused
-    made.double.motion.axes[2].state = AxisState.IDLE
+    made.double.motion.axes[2].state = sdh.AxisState.IDLE
     assert refused["error 6 (TIMEOUT)"] == 1
     assert refused["state"] >= 5
     made.hand.next(0.1)
@@ -551,7 +543,7 @@ def test_a_velocity_that_the_hand_will_not_end_is_ended_by_stop(lab: Make) -> No
 
 
 def test_readings_over_a_bad_line_are_right_or_asked_again(lab: Make) -> None:
-    double = SdhDouble(paced=False)  # so that a message is one piece
+    double = sdh.SdhDouble(paced=False)  # so that a message is one piece
     double.place((10.0, -20.0, 30.0, -40.0, 50.0, -60.0, 70.0))
     faulty = FaultyDouble(double, Faults(noise=0.05, flip=0.05, cut=0.05, split=0.3), seed=3)
     made = lab(double, faulty, temperature_period_s=1000.0)
@@ -573,9 +565,12 @@ def test_readings_over_a_bad_line_are_right_or_asked_again(lab: Make) -> None:
 
 def test_a_lost_link_ends_the_wait_and_the_motion() -> None:
     """On a bus the hand goes on while the link is away; when it is back the hand is stopped."""
-    double = SdhDouble(Port.CAN)
+    double = sdh.SdhDouble(sdh.Port.CAN)
     ended: list[BaseException | None] = []
-    with CanWire(double, "virtual:sdh-lost", receive_id=43, send_id=42), Sdh(config(bus="virtual:sdh-lost")) as hand:
+    with (
+        CanWire(double, "virtual:sdh-lost", receive_id=43, send_id=42),
+        sdh.Sdh(config(bus="virtual:sdh-lost")) as hand,
+    ):
         events = hand.events()
 
         def move() -> None:
@@ -587,14 +582,14 @@ def test_a_lost_link_ends_the_wait_and_the_motion() -> None:
 
         mover = threading.Thread(target=move)
         mover.start()
-        wait_until(lambda: hand.next(PATIENCE_S).state[1] is AxisState.POSITIONING)
+        wait_until(lambda: hand.next(PATIENCE_S).state[1] is sdh.AxisState.POSITIONING)
         double.silent = True
         assert events.get(PATIENCE_S).link is Link.LOST
         mover.join(PATIENCE_S)
         assert double.motion.moving
         double.silent = False
         assert events.get(PATIENCE_S).link is Link.CONNECTED
-        wait_until(lambda: hand.next(PATIENCE_S).state[1] is AxisState.IDLE)
+        wait_until(lambda: hand.next(PATIENCE_S).state[1] is sdh.AxisState.IDLE)
         assert isinstance(ended[0], LinkLost)
         assert hand.health().extra["stopped_after_reconnect"] == 1
         assert hand.health().reconnects == 1
@@ -602,27 +597,27 @@ def test_a_lost_link_ends_the_wait_and_the_motion() -> None:
 
 
 def test_stop_from_another_thread_ends_a_move() -> None:
-    double = SdhDouble()
-    with PtyWire(double) as wire, Sdh(config(port=wire.port)) as hand:
+    double = sdh.SdhDouble()
+    with PtyWire(double) as wire, sdh.Sdh(config(port=wire.port)) as hand:
         results = []
         mover = threading.Thread(target=lambda: results.append(hand.move({1: 80.0}, velocity_deg_s=10.0)))
         mover.start()
-        wait_until(lambda: hand.next(PATIENCE_S).state[1] is AxisState.POSITIONING)
+        wait_until(lambda: hand.next(PATIENCE_S).state[1] is sdh.AxisState.POSITIONING)
         hand.stop()
         mover.join(PATIENCE_S)
-    assert results[0].outcome is Outcome.STOPPED
+    assert results[0].outcome is sdh.Outcome.STOPPED
     assert 0.0 < results[0].reading.position_deg[1] < 60.0
 
 
 def test_closing_does_not_wait_for_a_long_answer() -> None:
-    double = SdhDouble()
+    double = sdh.SdhDouble()
     with PtyWire(double) as wire:
-        hand = Sdh(config(port=wire.port)).open()
+        hand = sdh.Sdh(config(port=wire.port)).open()
         errors: list[DeviceError] = []
 
         def reference() -> None:
             try:
-                hand.reference({0: Toward.POSITIVE})  # 7.2 s
+                hand.reference({0: sdh.Toward.POSITIVE})  # 7.2 s
             except DeviceError as error:
                 errors.append(error)
 

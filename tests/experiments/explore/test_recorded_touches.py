@@ -21,19 +21,7 @@ from deformscope.rig.rig_file import Tool
 from deformscope.robot.placement import Placement
 from deformscope.stages.map.measured import LookFrames
 from deformscope_drivers.clock import Stamp
-from tests.imports.touched_bag import (
-    ARM_HZ,
-    COMPLIANCE,
-    CORNER_M,
-    DEPTH_HZ,
-    LENGTH_M,
-    RADIUS_M,
-    SIZE_M,
-    START_NS,
-    THICKNESS_M,
-    WRENCH_HZ,
-    Moments,
-)
+from tests.imports import touched_bag
 
 PLACES_M = [(0.05, 0.05), (0.19, 0.11)]
 DEVICES = "arm", "wrench", "depth"
@@ -43,46 +31,54 @@ Change = Callable[[Frame, float], Frame | None]
 
 def setup() -> SetupGeometry:
     T_base_surface = np.eye(4)
-    T_base_surface[:3, 3] = CORNER_M
+    T_base_surface[:3, 3] = touched_bag.CORNER_M
     turn = (-1, 0, 0), (0, -1, 0), (0, 0, -1)
-    tool = Tool(length_m=LENGTH_M, radius_m=RADIUS_M, compliance_m_per_n=COMPLIANCE, R_tip_force=turn)
+    tool = Tool(
+        length_m=touched_bag.LENGTH_M,
+        radius_m=touched_bag.RADIUS_M,
+        compliance_m_per_n=touched_bag.COMPLIANCE,
+        R_tip_force=turn,
+    )
     camera = SimpleNamespace(focal_px=None, center_px=None)
-    of = {"size_m": SIZE_M, "placement": Placement(T_base_surface, tool), "camera": camera}
+    of = {"size_m": touched_bag.SIZE_M, "placement": Placement(T_base_surface, tool), "camera": camera}
     return cast("SetupGeometry", SimpleNamespace(**of))
 
 
 def frames(places_m: Sequence[tuple[float, float]]) -> list[Frame]:
     """As `touched_bag` writes them, without noise."""
-    moments = Moments.of(list(places_m))
+    moments = touched_bag.Moments.of(list(places_m))
     found: list[Frame] = []
     for at in range(len(moments.t)):
-        stamp = Stamp(START_NS + at * 10**6)
-        if at % (1000 // ARM_HZ) == 0:
-            end_m = np.array([*moments.place[at], THICKNESS_M - moments.dent[at] + LENGTH_M]) + CORNER_M
+        stamp = Stamp(touched_bag.START_NS + at * 10**6)
+        if at % (1000 // touched_bag.ARM_HZ) == 0:
+            end_m = (
+                np.array([*moments.place[at], touched_bag.THICKNESS_M - moments.dent[at] + touched_bag.LENGTH_M])
+                + touched_bag.CORNER_M
+            )
             none = np.zeros(0)
             down = np.array([np.pi, 0.0, 0.0])
             found.append(ArmFrame(stamp, at, none, none, none, end_m, down, NAN, NAN, none, device="arm"))
-        if at % (1000 // WRENCH_HZ) == 0:
+        if at % (1000 // touched_bag.WRENCH_HZ) == 0:
             felt = np.array([[0.3, -0.2, 1.1 - moments.force[at]]])
             found.append(WrenchFrame(stamp, at, np.zeros(3, np.int64), felt, device="wrench"))
-        if at % (1000 // DEPTH_HZ) == 0:
+        if at % (1000 // touched_bag.DEPTH_HZ) == 0:
             found.append(DepthFrame(stamp, at, np.zeros((2, 2), np.uint16), 1e-3, device="depth"))
     return found
 
 
 WHOLE = frames(PLACES_M)
-END_S = (WHOLE[-1].stamp.host_ns - START_NS) / 1e9
+END_S = (WHOLE[-1].stamp.host_ns - touched_bag.START_NS) / 1e9
 
 
 def contact_s() -> float:
     """When the first force is met."""
-    moments = Moments.of(PLACES_M[:1])
+    moments = touched_bag.Moments.of(PLACES_M[:1])
     return float(moments.t[np.flatnonzero(moments.force > 0.5)[0]])
 
 
 def found_in(change: Change = lambda frame, at_s: frame) -> tuple[list[Any], list[str]]:
     """The touches where recorded frames are changed, or left out."""
-    changed = (change(one, (one.stamp.host_ns - START_NS) / 1e9) for one in WHOLE)
+    changed = (change(one, (one.stamp.host_ns - touched_bag.START_NS) / 1e9) for one in WHOLE)
     kept = (one for one in changed if one is not None)
     found, left_out = find_touches(kept, DEVICES, setup(), ExploreOptions(hold_s=0.0, set_force_n=3.0), "ur5")
     assert isinstance(found[0], LookFrames)

@@ -10,21 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from deformscope.arrays import FloatArray
 from deformscope.pictures.messages import estimate_rows
+from deformscope.stages.fit import doubts
 from deformscope.stages.fit.calibrate import FitOptions, Model, Observation, calibrate
-from deformscope.stages.fit.doubts import (
-    found_in_numbers,
-    implausible_lengths,
-    little_explained,
-    mirrored,
-    noise_contradicted,
-    noise_source,
-    of_stiffness,
-    ordered,
-    residual_ratio,
-    setting,
-    turns,
-    value_at_end,
-)
 from deformscope.stages.fit.estimate import Doubt, Estimate, Identifiability, Verdict, limited
 from deformscope.stages.fit.joint import JointOptions, calibrate_both
 from deformscope.stages.fit.two_materials import INCLUSIONS, LEFT, LEFT_SURE, splits
@@ -98,7 +85,7 @@ def test_a_verdict_is_no_better_than_its_reasons_allow(
 
 
 def test_reasons_that_lower_most_come_first_and_causes_before_effects() -> None:
-    reasons = ordered(
+    reasons = doubts.ordered(
         [
             Doubt("noise-contradicted", ""),
             Doubt("value-at-interval-end", "", "weak"),
@@ -113,7 +100,7 @@ def test_reasons_that_lower_most_come_first_and_causes_before_effects() -> None:
     ("share", "allows"), [(0.9, None), (0.7, "weak"), (0.2, "unidentified"), (-3.0, "unidentified")]
 )
 def test_half_of_the_motion_left_is_no_identification(share: float, allows: Verdict | None) -> None:
-    assert [one.allows for one in little_explained(share)] == ([] if allows is None else [allows])
+    assert [one.allows for one in doubts.little_explained(share)] == ([] if allows is None else [allows])
 
 
 def test_what_only_trembles_did_not_move() -> None:
@@ -126,7 +113,7 @@ def test_what_only_trembles_did_not_move() -> None:
         found = fitted(still)
         assert (found.verdict, codes(found.reasons)[0]) == ("unidentified", "nothing-moved")
         assert "unidentified: nothing moved: the held particles by" in found.verdict_text()
-    (reason,) = little_explained(0.2, seen=[moved])
+    (reason,) = doubts.little_explained(0.2, seen=[moved])
     assert reason.code == "little-explained"
 
 
@@ -145,38 +132,38 @@ def test_a_body_that_only_moves_as_a_whole_is_not_asked_for_its_units(noise_m: f
         (explained,) = (row[1] for row in estimate_rows(found) if row[0] == "explained")
         assert "units" not in explained
     bent = dataclasses.replace(moved, deformed=moved.deformed + 0.01)
-    assert "rigid-motion" not in codes(little_explained(0.2, seen=[bent]))
+    assert "rigid-motion" not in codes(doubts.little_explained(0.2, seen=[bent]))
 
 
 def test_particles_of_images_that_stay_are_named_with_the_flag_that_leaves_them_out() -> None:
     seen = seen_sheet(0.6)
     stays = seen.rest[:, 0] < np.quantile(seen.rest[:, 0], 0.5)
     half = dataclasses.replace(seen, deformed=np.where(stays[:, None], seen.rest, seen.rest + 0.05), unit="px")
-    (reason,) = little_explained(0.5, seen=[half])
+    (reason,) = doubts.little_explained(0.5, seen=[half])
     assert re.search(r"; \d\d% of the particles do not move: --roi or --mask leaves out a background$", reason.text)
     for other in (dataclasses.replace(half, unit="m"), dataclasses.replace(half, deformed=seen.rest + 0.05)):
-        (reason,) = little_explained(0.5, seen=[other])
+        (reason,) = doubts.little_explained(0.5, seen=[other])
         assert "--roi" not in reason.text
 
 
 def test_what_noise_leaves_is_no_misfit() -> None:
-    assert not list(little_explained(0.6, left_is_noise=True))
-    assert [one.allows for one in little_explained(0.2, left_is_noise=True)] == ["unidentified"]
+    assert not list(doubts.little_explained(0.6, left_is_noise=True))
+    assert [one.allows for one in doubts.little_explained(0.2, left_is_noise=True)] == ["unidentified"]
 
 
 def test_a_value_on_the_end_of_its_interval_says_where_the_likelihood_is() -> None:
-    (reason,) = value_at_end("theta", 0.737, (0.546, 0.737), (0.0, 1.0))
+    (reason,) = doubts.value_at_end("theta", 0.737, (0.546, 0.737), (0.0, 1.0))
     assert reason.allows == "weak"
     assert "theta of least mean distance, 0.737" in reason.text
     assert "towards 0.546" in reason.text
-    assert not list(value_at_end("theta", 0.6, (0.546, 0.737), (0.0, 1.0)))
-    assert not list(value_at_end("beta", 0.0, (0.0, 0.3), (0.0, 0.99)))  # a bound of the range is no end
+    assert not list(doubts.value_at_end("theta", 0.6, (0.546, 0.737), (0.0, 1.0)))
+    assert not list(doubts.value_at_end("beta", 0.0, (0.0, 0.3), (0.0, 0.99)))  # a bound of the range is no end
 
 
 @pytest.mark.parametrize(("low", "named"), [(0.5, False), (0.7, True)])
 def test_a_value_on_the_end_of_a_wide_interval_is_one_of_many_that_fit(low: float, named: bool) -> None:
     known = Identifiability(rise=9.0, explained=1.0, deviation=0.1, misfit=0.0)
-    found = found_in_numbers("beta", 0.8, (low, 0.8), BOUNDS, known, converged=True, rank=1.0)
+    found = doubts.found_in_numbers("beta", 0.8, (low, 0.8), BOUNDS, known, converged=True, rank=1.0)
     assert codes(found) == ["value-at-interval-end"] * named
 
 
@@ -184,17 +171,17 @@ def test_a_value_on_the_end_of_a_wide_interval_is_one_of_many_that_fit(low: floa
     ("ratio", "allows"), [(None, ()), (1.4, ()), (0.4, ()), (5.0, (None,)), (20.0, ("weak",)), (0.05, (None,))]
 )
 def test_noise_that_is_contradicted_is_named(ratio: float | None, allows: tuple[Verdict | None, ...]) -> None:
-    assert tuple(one.allows for one in noise_contradicted(ratio, "given")) == allows
+    assert tuple(one.allows for one in doubts.noise_contradicted(ratio, "given")) == allows
 
 
 def test_a_contradicted_noise_is_named_by_its_source() -> None:
     """Nobody stated the noise of particles that optical flow followed."""
-    (given,), (flow,) = noise_contradicted(46.7, "given"), noise_contradicted(46.7, "flow")
+    (given,), (flow,) = doubts.noise_contradicted(46.7, "given"), doubts.noise_contradicted(46.7, "flow")
     assert "47 times the given noise" in given.text
     assert "47 times the noise estimated from the optical flow" in flow.text
     seen = seen_sheet(0.6)
-    assert noise_source([seen]) == "given"
-    assert noise_source([seen, dataclasses.replace(seen, noise=None)]) == "residuals"
+    assert doubts.noise_source([seen]) == "given"
+    assert doubts.noise_source([seen, dataclasses.replace(seen, noise=None)]) == "residuals"
 
 
 def test_outliers_do_not_contradict_the_noise() -> None:
@@ -202,20 +189,20 @@ def test_outliers_do_not_contradict_the_noise() -> None:
     rng = np.random.default_rng(1)
     residual = rng.normal(0.0, NOISE_M, seen.rest.shape)
     residual[rng.permutation(len(residual))[:5]] *= 100.0
-    assert 0.7 < residual_ratio([seen], [seen.deformed - residual], 1e-9) < 1.4
+    assert 0.7 < doubts.residual_ratio([seen], [seen.deformed - residual], 1e-9) < 1.4
 
 
 def test_units_are_doubted() -> None:
     seen = seen_sheet(0.6)
-    assert not list(implausible_lengths([seen]))
+    assert not list(doubts.implausible_lengths([seen]))
     for factor, words in ((40.0, "2.8 m large"), (1e-3, "7e-05 m large")):
-        (large,) = implausible_lengths(
+        (large,) = doubts.implausible_lengths(
             [dataclasses.replace(seen, rest=factor * seen.rest, deformed=factor * seen.deformed)]
         )
         assert words in large.text
         assert large.allows is None
-        assert [one.allows for one in of_stiffness([large])] == ["weak"]
-    (other,) = implausible_lengths([dataclasses.replace(seen, deformed=0.1 * seen.deformed)])
+        assert [one.allows for one in doubts.of_stiffness([large])] == ["weak"]
+    (other,) = doubts.implausible_lengths([dataclasses.replace(seen, deformed=0.1 * seen.deformed)])
     assert other.allows == "unidentified"
     assert "two units" in other.text
 
@@ -223,16 +210,16 @@ def test_units_are_doubted() -> None:
 def test_a_mirrored_shape_is_named_and_a_turned_one_is_not() -> None:
     seen = seen_sheet(0.6)
     known = np.ones(len(seen.rest), dtype=bool)
-    (reason,) = mirrored(seen.rest, seen.deformed[:, ::-1], known)
+    (reason,) = doubts.mirrored(seen.rest, seen.deformed[:, ::-1], known)
     assert reason.code == "axes-swapped"
-    assert not list(mirrored(seen.rest, seen.deformed @ np.array([[0.0, 1.0], [-1.0, 0.0]]), known))
-    assert not list(mirrored(seen.rest, seen.rest[:, ::-1] * [1.0, -1.0], known))
+    assert not list(doubts.mirrored(seen.rest, seen.deformed @ np.array([[0.0, 1.0], [-1.0, 0.0]]), known))
+    assert not list(doubts.mirrored(seen.rest, seen.rest[:, ::-1] * [1.0, -1.0], known))
 
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_each_turn_of_the_columns_is_another_one(dim: int) -> None:
     """Also but for the sign of all, which small motions do not show."""
-    every = [sign * matrix for _, matrix in turns(dim) for sign in (1.0, -1.0)] + [np.eye(dim), -np.eye(dim)]
+    every = [sign * matrix for _, matrix in doubts.turns(dim) for sign in (1.0, -1.0)] + [np.eye(dim), -np.eye(dim)]
     assert all(np.abs(a - b).max() > 0.5 for i, a in enumerate(every) for b in every[i + 1 :])
     assert all(np.allclose(matrix @ matrix.T, np.eye(dim)) for matrix in every)
 
@@ -376,6 +363,6 @@ def test_splits_take_a_body_as_two_halves_or_a_lump_and_the_rest() -> None:
 
 def test_the_setting_counts_for_nothing_where_noise_outweighs_the_misfit() -> None:
     seen = seen_sheet(0.6)
-    assert setting([seen], Model("theta"), 1e-5, 1e-4).allows is None
-    assert setting([seen], Model("theta"), 1e-4, 1e-5).allows == "weak"
-    assert setting([seen], Model("theta"), 1e-7, 1e-9).allows is None  # what is left is the solver's
+    assert doubts.setting([seen], Model("theta"), 1e-5, 1e-4).allows is None
+    assert doubts.setting([seen], Model("theta"), 1e-4, 1e-5).allows == "weak"
+    assert doubts.setting([seen], Model("theta"), 1e-7, 1e-9).allows is None  # what is left is the solver's

@@ -4,23 +4,14 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from deformscope.stages.fit import estimate
 from deformscope.stages.fit.doubts import little_explained
-from deformscope.stages.fit.estimate import (
-    Curve,
-    Estimate,
-    Identifiability,
-    Posterior,
-    Verdict,
-    explained_text,
-    relative_verdict,
-    verdict,
-)
 
 
-def gaussian(mean: float, deviation: float, low: float = 0.0, high: float = 1.0) -> Posterior:
+def gaussian(mean: float, deviation: float, low: float = 0.0, high: float = 1.0) -> estimate.Posterior:
     grid = np.linspace(low, high, 4001)
     density = norm.pdf(grid, mean, deviation)
-    return Posterior(grid, density / np.trapezoid(density, grid))
+    return estimate.Posterior(grid, density / np.trapezoid(density, grid))
 
 
 def test_the_shortest_set_of_a_gaussian_is_central() -> None:
@@ -59,32 +50,32 @@ def test_ranks_and_quantiles_are_inverse() -> None:
 @pytest.mark.parametrize(
     ("ends", "reported", "expected"),
     [
-        ((0.4, 0.5), Identifiability(9.0, 0.9, 0.03, 0.0), "identified"),
-        ((0.4, 0.5), Identifiability(1.0, 0.9, 0.03, 0.0), "unidentified"),
-        ((0.4, 0.5), Identifiability(9.0, 0.1, 0.03, 0.0), "unidentified"),
-        ((0.9, 0.99), Identifiability(9.0, -1.0, 0.03, 0.0), "unidentified"),
-        ((0.0, 0.1), Identifiability(9.0, 0.9, 0.03, 0.0), "at-bound"),
+        ((0.4, 0.5), estimate.Identifiability(9.0, 0.9, 0.03, 0.0), "identified"),
+        ((0.4, 0.5), estimate.Identifiability(1.0, 0.9, 0.03, 0.0), "unidentified"),
+        ((0.4, 0.5), estimate.Identifiability(9.0, 0.1, 0.03, 0.0), "unidentified"),
+        ((0.9, 0.99), estimate.Identifiability(9.0, -1.0, 0.03, 0.0), "unidentified"),
+        ((0.0, 0.1), estimate.Identifiability(9.0, 0.9, 0.03, 0.0), "at-bound"),
     ],
 )
 def test_a_verdict_needs_data_that_tell(
-    ends: tuple[float, float], reported: Identifiability, expected: Verdict
+    ends: tuple[float, float], reported: estimate.Identifiability, expected: estimate.Verdict
 ) -> None:
-    assert verdict(ends, (0.0, 0.99), reported) == expected
+    assert estimate.verdict(ends, (0.0, 0.99), reported) == expected
 
 
 def test_a_quantity_without_bounds_needs_data_that_tell_too() -> None:
-    assert relative_verdict(10.0, (9.5, 10.5)) == "identified"
-    assert relative_verdict(10.0, (8.0, 13.0)) == "weak"
-    assert relative_verdict(10.0, (8.0, float("inf"))) == "unidentified"
-    assert relative_verdict(10.0, (9.5, 10.5), tuple(little_explained(0.2))) == "unidentified"
-    assert relative_verdict(10.0, (9.5, 10.5), tuple(little_explained(0.5))) == "weak"
-    assert relative_verdict(10.0, (9.5, 10.5), tuple(little_explained(0.9))) == "identified"
+    assert estimate.relative_verdict(10.0, (9.5, 10.5)) == "identified"
+    assert estimate.relative_verdict(10.0, (8.0, 13.0)) == "weak"
+    assert estimate.relative_verdict(10.0, (8.0, float("inf"))) == "unidentified"
+    assert estimate.relative_verdict(10.0, (9.5, 10.5), tuple(little_explained(0.2))) == "unidentified"
+    assert estimate.relative_verdict(10.0, (9.5, 10.5), tuple(little_explained(0.5))) == "weak"
+    assert estimate.relative_verdict(10.0, (9.5, 10.5), tuple(little_explained(0.9))) == "identified"
 
 
 def test_little_that_is_explained_comes_with_a_warning() -> None:
-    assert explained_text(0.934) == "93% of the motion beyond a rigid one"
-    assert "only 48% of the motion beyond a rigid one: check units" in explained_text(0.48)
-    assert explained_text(-3.0).startswith("only 0%")
+    assert estimate.explained_text(0.934) == "93% of the motion beyond a rigid one"
+    assert "only 48% of the motion beyond a rigid one: check units" in estimate.explained_text(0.48)
+    assert estimate.explained_text(-3.0).startswith("only 0%")
 
 
 @pytest.mark.parametrize(
@@ -98,9 +89,9 @@ def test_little_that_is_explained_comes_with_a_warning() -> None:
         ((0.0, 0.95), "unidentified", "unidentified: any beta from 0 to 0.95 fits; the data do not identify it"),
     ],
 )
-def test_verdicts_in_words(ends: tuple[float, float], kind: Verdict, words: str) -> None:
-    reported = Identifiability(9.0, 0.9, 0.03, 1e-5)
-    one = Estimate(
+def test_verdicts_in_words(ends: tuple[float, float], kind: estimate.Verdict, words: str) -> None:
+    reported = estimate.Identifiability(9.0, 0.9, 0.03, 1e-5)
+    one = estimate.Estimate(
         parameter="beta",
         value=ends[0],
         interval=ends,
@@ -112,7 +103,7 @@ def test_verdicts_in_words(ends: tuple[float, float], kind: Verdict, words: str)
         aee_free=1e-4,
         nearest=1e-4,
         unit="m",
-        curve=Curve(np.array([0.0, 0.99]), np.array([1e-4, 2e-4])),
+        curve=estimate.Curve(np.array([0.0, 0.99]), np.array([1e-4, 2e-4])),
         converged=True,
         settings={},
         posterior=gaussian(0.5, 0.1),

@@ -6,24 +6,12 @@ import pytest
 from deformscope.arrays import FloatArray
 from deformscope.capsule import Capsule
 from deformscope.errors import InputError
-from deformscope.stages.see.cloud import (
-    Box,
-    Intrinsics,
-    axial_noise_m,
-    back_project,
-    contact_radius_m,
-    height_noise_m,
-    not_alone,
-    perceive,
-    reduce_to_grid,
-    tactile_points,
-    within,
-)
+from deformscope.stages.see import cloud
 from deformscope.stages.see.pixel_labels import PixelLabel
 from deformscope.stages.see.robot import PosedRobot, outside_capsules
 
-CAMERA = Intrinsics((300.0, 310.0), (80.0, 60.0))
-BOX = Box((0.0, 0.0, -0.1), (0.6, 0.4, 0.3))
+CAMERA = cloud.Intrinsics((300.0, 310.0), (80.0, 60.0))
+BOX = cloud.Box((0.0, 0.0, -0.1), (0.6, 0.4, 0.3))
 
 
 def looking_down_at_45_degrees() -> FloatArray:
@@ -47,31 +35,31 @@ def test_a_plane_comes_back_where_it_is() -> None:
     transform = looking_down_at_45_degrees()
     depth = seen(transform, 0.05)
     depth[3, 4], depth[5, 6] = 0.0, np.nan
-    points = back_project(depth, CAMERA, transform)
+    points = cloud.back_project(depth, CAMERA, transform)
     assert len(points) == 120 * 160 - 2
     np.testing.assert_allclose(points[:, 2], 0.05, atol=1e-12)
-    middle = back_project(np.pad([[0.8]], ((60, 59), (80, 79))), CAMERA, transform)
+    middle = cloud.back_project(np.pad([[0.8]], ((60, 59), (80, 79))), CAMERA, transform)
     np.testing.assert_allclose(middle, [[0.3, 0.2, 0.0]], atol=1e-12)
 
 
 def test_a_box_keeps_what_is_inside() -> None:
     points = np.array([[0.0, 0.0, 0.0], [0.6, 0.4, 0.3], [0.61, 0.2, 0.0], [0.3, -0.001, 0.0], [0.3, 0.2, 0.31]])
-    assert within(points, BOX).tolist() == [True, True, False, False, False]
+    assert cloud.within(points, BOX).tolist() == [True, True, False, False, False]
 
 
 def test_lone_points_go_and_a_surface_stays() -> None:
     rng = np.random.default_rng(0)
     surface = np.column_stack([rng.uniform(size=(4000, 2)) * [0.6, 0.4], rng.normal(size=4000) * 1e-3])
     lone = rng.uniform(size=(20, 3)) * [0.6, 0.4, 0.2] + [0, 0, 0.05]
-    kept = not_alone(np.concatenate([surface, lone]))
+    kept = cloud.not_alone(np.concatenate([surface, lone]))
     assert not kept[4000:].any()
     assert kept[:4000].mean() > 0.93
-    assert not_alone(lone).all()  # too few to say
+    assert cloud.not_alone(lone).all()  # too few to say
 
 
 def test_one_point_a_cell_is_the_mean_of_its_points() -> None:
     points = np.random.default_rng(1).uniform(-0.05, 0.05, size=(500, 3))
-    reduced, count, place = reduce_to_grid(points, 0.01)
+    reduced, count, place = cloud.reduce_to_grid(points, 0.01)
     np.testing.assert_array_equal(np.bincount(place), count)
     np.testing.assert_allclose(points[place == 3].mean(axis=0), reduced[3])
     assert count.sum() == 500
@@ -81,7 +69,7 @@ def test_one_point_a_cell_is_the_mean_of_its_points() -> None:
     first = np.floor(points[:, :2] / 0.01) == cells[0]
     np.testing.assert_allclose(reduced[0], points[first.all(axis=1)].mean(axis=0))
     with pytest.raises(InputError, match="cell above 0"):
-        reduce_to_grid(points, 0.0)
+        cloud.reduce_to_grid(points, 0.0)
 
 
 def test_links_take_exactly_the_points_of_the_arm() -> None:
@@ -99,30 +87,30 @@ def test_links_take_exactly_the_points_of_the_arm() -> None:
 
 
 def test_noise_grows_with_distance_and_angle() -> None:
-    assert axial_noise_m(np.array([0.4])) == pytest.approx(0.0012)
-    assert axial_noise_m(np.array([1.4])) == pytest.approx(0.0031)
-    assert axial_noise_m(np.array([0.8]), 1.4) > 1.5 * axial_noise_m(np.array([0.8]))
+    assert cloud.axial_noise_m(np.array([0.4])) == pytest.approx(0.0012)
+    assert cloud.axial_noise_m(np.array([1.4])) == pytest.approx(0.0031)
+    assert cloud.axial_noise_m(np.array([0.8]), 1.4) > 1.5 * cloud.axial_noise_m(np.array([0.8]))
     down = np.eye(4)
     down[:3, :3] = np.diag([1.0, -1.0, -1.0])
     down[2, 3] = 0.8
-    assert height_noise_m(np.zeros((1, 3)), down) == pytest.approx(axial_noise_m(np.array([0.8])))
+    assert cloud.height_noise_m(np.zeros((1, 3)), down) == pytest.approx(cloud.axial_noise_m(np.array([0.8])))
     # at 45 degrees an error along the ray is cos 45 of it in height
-    aslant = height_noise_m(np.array([[0.3, 0.2, 0.0]]), looking_down_at_45_degrees())
-    assert aslant == pytest.approx(np.sqrt(0.5) * axial_noise_m(np.array([0.8]), np.pi / 4))
+    aslant = cloud.height_noise_m(np.array([[0.3, 0.2, 0.0]]), looking_down_at_45_degrees())
+    assert aslant == pytest.approx(np.sqrt(0.5) * cloud.axial_noise_m(np.array([0.8]), np.pi / 4))
 
 
 @pytest.mark.parametrize("normal", [[0.0, 0.0, 1.0], [0.3, -0.2, 0.9]])
 def test_tactile_points_lie_on_the_ball_where_it_touches(normal: list[float]) -> None:
     up = np.array(normal) / np.linalg.norm(normal)
     lowest, radius, depth = np.array([0.3, 0.2, 0.045]), 0.01, 0.004
-    points = tactile_points(lowest, radius, depth, normal=up)
+    points = cloud.tactile_points(lowest, radius, depth, normal=up)
     assert points.shape == (10, 3)
     np.testing.assert_allclose(np.linalg.norm(points - lowest - radius * up, axis=1), radius, rtol=1e-9)
     np.testing.assert_allclose(points[0], lowest)
     aside = np.linalg.norm(points - lowest - np.outer((points - lowest) @ up, up), axis=1)
-    assert aside.max() == pytest.approx(contact_radius_m(radius, depth))
-    assert contact_radius_m(radius, depth) == pytest.approx(np.sqrt(radius * depth))
-    assert contact_radius_m(radius, 0.02) == radius
+    assert aside.max() == pytest.approx(cloud.contact_radius_m(radius, depth))
+    assert cloud.contact_radius_m(radius, depth) == pytest.approx(np.sqrt(radius * depth))
+    assert cloud.contact_radius_m(radius, 0.02) == radius
 
 
 def test_perceiving_keeps_the_surface_alone() -> None:
@@ -130,9 +118,11 @@ def test_perceiving_keeps_the_surface_alone() -> None:
     depth = seen(transform, 0.05)
     stick = Capsule(np.array([0.3, 0.2, 0.06]), np.array([0.3, 0.2, 0.25]), 0.01)
     depth[40:60, 78:83] *= 0.9  # something nearer, where the stick is seen
-    hidden = back_project(np.where(np.isin(np.arange(120), np.arange(40, 60))[:, None], depth, 0.0), CAMERA, transform)
+    hidden = cloud.back_project(
+        np.where(np.isin(np.arange(120), np.arange(40, 60))[:, None], depth, 0.0), CAMERA, transform
+    )
     on_the_stick = ~outside_capsules(hidden, [stick], margin_m=0.01)
-    found = perceive(depth, CAMERA, transform, BOX, robot=PosedRobot([stick], margin_m=0.01), cell_m=0.005)
+    found = cloud.perceive(depth, CAMERA, transform, BOX, robot=PosedRobot([stick], margin_m=0.01), cell_m=0.005)
     count = np.bincount(found.label.ravel(), minlength=len(PixelLabel))
     assert count[PixelLabel.NOTHING_SEEN] == 0
     assert count[PixelLabel.ROBOT_CAPSULE] >= np.count_nonzero(on_the_stick) > 0
@@ -142,11 +132,11 @@ def test_perceiving_keeps_the_surface_alone() -> None:
     assert (found.noise_m > 0).all()
     assert found.noise_m.min() < found.noise_m.max()
     with pytest.raises(InputError, match="points of the surface"):
-        perceive(depth, CAMERA, transform, Box((5.0, 5.0, 5.0), (6.0, 6.0, 6.0)))
+        cloud.perceive(depth, CAMERA, transform, cloud.Box((5.0, 5.0, 5.0), (6.0, 6.0, 6.0)))
 
 
 def test_images_and_poses_that_are_none_are_refused() -> None:
     with pytest.raises(InputError, match="depth image"):
-        back_project(np.zeros(5), CAMERA, np.eye(4))
+        cloud.back_project(np.zeros(5), CAMERA, np.eye(4))
     with pytest.raises(InputError, match="T_world_camera"):
-        back_project(np.zeros((5, 5)), CAMERA, np.full((4, 4), np.nan))
+        cloud.back_project(np.zeros((5, 5)), CAMERA, np.full((4, 4), np.nan))

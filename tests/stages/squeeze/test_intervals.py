@@ -5,29 +5,18 @@ import pytest
 from scipy import stats
 
 from deformscope.arrays import FloatArray, IntArray
-from deformscope.stages.squeeze.intervals import (
-    GROUP_CORRELATION,
-    Estimated,
-    difference,
-    holm,
-    lilliefors,
-    over_splits,
-    share_among_new,
-    share_of,
-    trials_worth,
-    wilson,
-)
+from deformscope.stages.squeeze import intervals
 
 
 def test_wilson_is_as_published() -> None:
     # Newcombe 1998, table I, method 3: 81 of 263, 0 of 20 and 1 of 29 at 95 %.
-    assert wilson(81 / 263, 263, 0.95) == pytest.approx((0.2553, 0.3662), abs=5e-5)
-    assert wilson(0.0, 20, 0.95) == pytest.approx((0.0, 0.1611), abs=5e-5)
-    assert wilson(1 / 29, 29, 0.95) == pytest.approx((0.0061, 0.1718), abs=5e-5)
+    assert intervals.wilson(81 / 263, 263, 0.95) == pytest.approx((0.2553, 0.3662), abs=5e-5)
+    assert intervals.wilson(0.0, 20, 0.95) == pytest.approx((0.0, 0.1611), abs=5e-5)
+    assert intervals.wilson(1 / 29, 29, 0.95) == pytest.approx((0.0061, 0.1718), abs=5e-5)
 
 
 def test_splits_that_share_trials_widen_the_interval() -> None:
-    found = over_splits(np.array([0.7, 0.8, 0.9, 0.8]), 3 / 7, 0.9)
+    found = intervals.over_splits(np.array([0.7, 0.8, 0.9, 0.8]), 3 / 7, 0.9)
     # By hand: variance 0.02 / 3, times 1 / 4 + 3 / 7.
     half = stats.t.ppf(0.95, 3) * np.sqrt(0.02 / 3 * (0.25 + 3 / 7))
     assert found.value == pytest.approx(0.8)
@@ -35,27 +24,27 @@ def test_splits_that_share_trials_widen_the_interval() -> None:
 
 
 def test_perfect_splits_are_no_surer_than_their_trials() -> None:
-    found = share_of(np.ones(200), trials_worth(np.ones(50, int), 0.3, 200, 3 / 7), 0.9)
-    assert found.interval == pytest.approx((wilson(1.0, 50 * 0.3 / (1 / 200 + 3 / 7), 0.9)[0], 1.0))
-    assert found.interval[0] < wilson(1.0, 50, 0.9)[0] < 0.96
+    found = intervals.share_of(np.ones(200), intervals.trials_worth(np.ones(50, int), 0.3, 200, 3 / 7), 0.9)
+    assert found.interval == pytest.approx((intervals.wilson(1.0, 50 * 0.3 / (1 / 200 + 3 / 7), 0.9)[0], 1.0))
+    assert found.interval[0] < intervals.wilson(1.0, 50, 0.9)[0] < 0.96
 
 
 def test_trials_are_worth_fewer_by_design_alone() -> None:
-    assert trials_worth(np.ones(200, int)) == 200  # each tested once, by one classifier
-    assert trials_worth(np.full(20, 10)) == pytest.approx(200 / (1 + 9 * GROUP_CORRELATION))
-    assert 20 < trials_worth(np.full(20, 10)) < 200
+    assert intervals.trials_worth(np.ones(200, int)) == 200  # each tested once, by one classifier
+    assert intervals.trials_worth(np.full(20, 10)) == pytest.approx(200 / (1 + 9 * intervals.GROUP_CORRELATION))
+    assert 20 < intervals.trials_worth(np.full(20, 10)) < 200
     # Splits that share their trials: about as many as train (Nadeau and Bengio 2003), whatever the number of splits.
-    assert trials_worth(np.ones(100, int), 0.3, 10_000, 3 / 7) == pytest.approx(70, abs=0.1)
-    assert trials_worth(np.ones(100, int), 0.3, 2, 3 / 7) < 35
-    assert trials_worth(np.r_[190, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]) < trials_worth(np.full(10, 20))
+    assert intervals.trials_worth(np.ones(100, int), 0.3, 10_000, 3 / 7) == pytest.approx(70, abs=0.1)
+    assert intervals.trials_worth(np.ones(100, int), 0.3, 2, 3 / 7) < 35
+    assert intervals.trials_worth(np.r_[190, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]) < intervals.trials_worth(np.full(10, 20))
 
 
 @pytest.mark.parametrize("size", [np.ones(48, int), np.full(6, 8), np.array([40, 5, 3])])
 @pytest.mark.parametrize("level", [0.5, 0.9, 0.99])
 def test_the_more_is_right_the_higher_are_both_ends(size: IntArray, level: float) -> None:
     total = int(size.sum())
-    for worth in (trials_worth(size), trials_worth(size, 0.3, 200, 3 / 7)):
-        ends = np.array([share_of(np.array([k / total]), worth, level).interval for k in range(total + 1)])
+    for worth in (intervals.trials_worth(size), intervals.trials_worth(size, 0.3, 200, 3 / 7)):
+        ends = np.array([intervals.share_of(np.array([k / total]), worth, level).interval for k in range(total + 1)])
         assert (np.diff(ends, axis=0) > -1e-12).all()
         assert (np.diff(ends[1:-1], axis=0) > 0.0).all()
         np.testing.assert_allclose(ends, 1.0 - ends[::-1, ::-1], atol=1e-12)  # wrong ones count as right ones do
@@ -78,7 +67,9 @@ def test_new_groups_are_known_as_well_as_the_interval_says(apart: float) -> None
             seen.append(float((_nearest(means, x[test]) == target[test]).mean()))
             if split % 5 == 0:
                 true.append(float((_nearest(means, new) == new_target).mean()))
-        low, high = share_of(np.array(seen), trials_worth(np.full(10, 20), 0.3, 20, 3 / 7), 0.9).interval
+        low, high = intervals.share_of(
+            np.array(seen), intervals.trials_worth(np.full(10, 20), 0.3, 20, 3 / 7), 0.9
+        ).interval
         held += low <= np.mean(true) <= high
     assert held >= 48  # 90 % less 2.6 binomial deviations
 
@@ -96,17 +87,17 @@ def _nearest(means: FloatArray, x: FloatArray) -> IntArray:
 
 def test_the_corrected_comparison_is_the_t_test_of_nadeau_and_bengio() -> None:
     one, other = np.array([0.9, 0.8, 0.85, 0.95]), np.array([0.8, 0.75, 0.85, 0.8])
-    found, p_value = difference(one, other, 3 / 7, 0.9)
+    found, p_value = intervals.difference(one, other, 3 / 7, 0.9)
     apart = one - other
     t = apart.mean() / np.sqrt(apart.var(ddof=1) * (1 / 4 + 3 / 7))
     assert found.value == pytest.approx(0.075)
     assert p_value == pytest.approx(2 * stats.t.sf(t, 3))
     assert p_value > stats.ttest_rel(one, other).pvalue
-    assert difference(one, one, 3 / 7, 0.9)[1] == 1.0
+    assert intervals.difference(one, one, 3 / 7, 0.9)[1] == 1.0
 
 
 def test_holm() -> None:
-    assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert intervals.holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
 
 
 def test_lilliefors_has_the_published_critical_values() -> None:
@@ -114,7 +105,7 @@ def test_lilliefors_has_the_published_critical_values() -> None:
     for count, critical in ((20, 0.1920), (50, 0.1246)):
         rng = np.random.default_rng(5)
         samples = [rng.normal(3.0, 2.0, size=count) for _ in range(400)]
-        found = [lilliefors(one) for one in samples]
+        found = [intervals.lilliefors(one) for one in samples]
         by_table = np.array([distance > critical for distance, _ in found])
         by_p = np.array([p < 0.05 for _, p in found])
         assert (by_table != by_p).mean() < 0.01
@@ -122,18 +113,18 @@ def test_lilliefors_has_the_published_critical_values() -> None:
 
 
 def test_what_is_not_normal_is_recognised() -> None:
-    assert lilliefors(np.random.default_rng(0).exponential(size=100))[1] < 0.001
-    assert np.isnan(lilliefors(np.array([1.0, 2.0, 3.0]))[1])
-    assert np.isnan(lilliefors(np.ones(10))[1])
+    assert intervals.lilliefors(np.random.default_rng(0).exponential(size=100))[1] < 0.001
+    assert np.isnan(intervals.lilliefors(np.array([1.0, 2.0, 3.0]))[1])
+    assert np.isnan(intervals.lilliefors(np.ones(10))[1])
 
 
 def test_a_share_seen_among_new_trials_scatters_by_the_expectation_and_by_their_number() -> None:
     rng = np.random.default_rng(3)
-    expected = Estimated(0.86, (0.83, 0.89))  # a deviation of 0.03 / 1.645
+    expected = intervals.Estimated(0.86, (0.83, 0.89))  # a deviation of 0.03 / 1.645
     truth = rng.normal(0.86, 0.03 / 1.645, 20_000)
     for count in (60, 300):
-        low, high = share_among_new(expected, count, 0.9, 0.9)
+        low, high = intervals.share_among_new(expected, count, 0.9, 0.9)
         seen = rng.binomial(count, truth) / count
         assert np.mean((seen >= low) & (seen <= high)) == pytest.approx(0.91, abs=0.025)
         assert high - low > 0.06
-    assert share_among_new(expected, 1e6, 0.9, 0.9) == pytest.approx((0.83, 0.89), abs=2e-3)
+    assert intervals.share_among_new(expected, 1e6, 0.9, 0.9) == pytest.approx((0.83, 0.89), abs=2e-3)

@@ -7,35 +7,26 @@ import pytest
 from scipy.stats import spearmanr
 
 from deformscope.lab.foam import FOAMS
+from studies.reproduce import foam_fits
 from studies.reproduce import foam_fits as foams
-from studies.reproduce.foam_fits import (
-    FoamCase,
-    FoamResult,
-    FoamSetup,
-    controls,
-    measure,
-    measure_control,
-    rank_correlation,
-    trend,
-)
 
-COARSE = FoamSetup(foams=FOAMS[:1], depth_m=0.008, images=2, element_m=0.014, cluster_sizes=(2,))
+COARSE = foam_fits.FoamSetup(foams=FOAMS[:1], depth_m=0.008, images=2, element_m=0.014, cluster_sizes=(2,))
 
 
 @pytest.fixture(scope="module")
-def seen() -> FoamResult:
-    return measure(FoamCase(FOAMS[0], COARSE))
+def seen() -> foam_fits.FoamResult:
+    return foam_fits.measure(foam_fits.FoamCase(FOAMS[0], COARSE))
 
 
 @pytest.mark.slow  # images of five foams
-def test_flow_finds_the_true_positions(seen: FoamResult) -> None:
+def test_flow_finds_the_true_positions(seen: foam_fits.FoamResult) -> None:
     assert seen.lost == 0
     assert np.sqrt(np.mean(seen.error_px**2)) < 0.2
     assert seen.image.shape == (COARSE.view.height, COARSE.view.width)
 
 
 @pytest.mark.slow  # images of two foams
-def test_flow_and_truth_agree_on_beta(seen: FoamResult) -> None:
+def test_flow_and_truth_agree_on_beta(seen: foam_fits.FoamResult) -> None:
     for held in foams.HELD:
         flow, true = (seen.fit(source, held, 2).estimate for source in foams.SOURCES)
         assert true.interval[0] <= flow.value <= true.interval[1]
@@ -43,7 +34,7 @@ def test_flow_and_truth_agree_on_beta(seen: FoamResult) -> None:
         assert true.converged
 
 
-def test_every_way_of_fitting_holds_what_it_says(seen: FoamResult) -> None:
+def test_every_way_of_fitting_holds_what_it_says(seen: foam_fits.FoamResult) -> None:
     for fit in seen.fits:
         shape = fit.calibration.comparisons[0]
         top = shape.held[shape.held < COARSE.grid[1]]
@@ -51,7 +42,7 @@ def test_every_way_of_fitting_holds_what_it_says(seen: FoamResult) -> None:
         assert len(shape.held) - len(top) == COARSE.grid[1]  # all of the ground
 
 
-def test_force_gives_the_models_stiffness(seen: FoamResult) -> None:
+def test_force_gives_the_models_stiffness(seen: foam_fits.FoamResult) -> None:
     for fit in seen.fits:
         reported = fit.calibration.estimate.stiffness
         assert reported[1][0] <= reported[0] <= reported[1][1]
@@ -61,7 +52,7 @@ def test_force_gives_the_models_stiffness(seen: FoamResult) -> None:
 @pytest.mark.slow
 def test_hardness_alone_moves_nothing_and_scales_k(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(foams, "CHANGES", {"hardness": (75.0, 300.0)})
-    base, softer, firmer = map(measure_control, controls(COARSE))
+    base, softer, firmer = map(foam_fits.measure_control, foam_fits.controls(COARSE))
     assert base.foam.hardness == 150.0
     assert max(softer.moved_mm(base), firmer.moved_mm(base)) < 1e-6
     assert firmer.force_n == pytest.approx(4 * softer.force_n, rel=1e-6)
@@ -71,7 +62,7 @@ def test_hardness_alone_moves_nothing_and_scales_k(monkeypatch: pytest.MonkeyPat
         assert b.stiffness[0] == pytest.approx(4 * a.stiffness[0], rel=1e-3)
 
 
-def made(seen: FoamResult, betas: list[tuple[float, float, float]]) -> list[FoamResult]:
+def made(seen: foam_fits.FoamResult, betas: list[tuple[float, float, float]]) -> list[foam_fits.FoamResult]:
     """The five foams with these values and intervals."""
     results = []
     for foam, (value, low, high) in zip(sorted(FOAMS, key=lambda foam: foam.hardness), betas, strict=True):
@@ -93,9 +84,9 @@ def made(seen: FoamResult, betas: list[tuple[float, float, float]]) -> list[Foam
     ],
 )
 def test_trend_says_no_more_than_the_intervals_allow(
-    seen: FoamResult, values: tuple[float, ...], half: float, reported: str, correlation: float | None
+    seen: foam_fits.FoamResult, values: tuple[float, ...], half: float, reported: str, correlation: float | None
 ) -> None:
-    found = trend(made(seen, [(v, v - half, v + half) for v in values]), "flow", "one", 2)
+    found = foam_fits.trend(made(seen, [(v, v - half, v + half) for v in values]), "flow", "one", 2)
     assert found.told == reported
     assert found.drop == pytest.approx(values[0] - values[-1])
     assert found.rank_correlation == (None if correlation is None else pytest.approx(correlation))
@@ -103,6 +94,6 @@ def test_trend_says_no_more_than_the_intervals_allow(
 
 def test_rank_correlation_is_spearmans() -> None:
     a, b = np.random.default_rng(0).normal(size=(2, 9))
-    assert rank_correlation(a, b) == pytest.approx(spearmanr(a, b).statistic)
-    assert rank_correlation(a, np.ones(9)) is None
-    assert rank_correlation(a[:2], b[:2]) is None
+    assert foam_fits.rank_correlation(a, b) == pytest.approx(spearmanr(a, b).statistic)
+    assert foam_fits.rank_correlation(a, np.ones(9)) is None
+    assert foam_fits.rank_correlation(a[:2], b[:2]) is None
