@@ -1,7 +1,5 @@
 """Videos whose frames have any times."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 

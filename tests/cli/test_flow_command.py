@@ -84,12 +84,10 @@ def test_flow_that_its_own_way_back_contradicts_is_named_with_its_place(capsys: 
     hidden[60:, 80:] = np.random.default_rng(0).integers(0, 255, (36, 48))
     cv2.imwrite("hidden.png", hidden)
     share, said = told("before.png", "hidden.png")
-    assert share is not None
     assert 0.05 < share < 0.3
     assert f"{share:.0%} of the pixels that move, most of them bottom right" in said
     cv2.imwrite("other.png", np.random.default_rng(1).integers(0, 255, (96, 128)))
     share, said = told("before.png", "other.png")
-    assert share is not None
     assert share > 0.5
 
 

@@ -1,7 +1,5 @@
 """Commands of a robot in its own thread: in order, answered or failed one by one, at rest between them."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -31,7 +29,6 @@ class Adder(CommandedRobot):
 
 def test_a_thread_answers_in_order_goes_on_after_an_error_and_rests_between() -> None:
     robot = Adder()
-
     with robot.in_a_thread():
         given = [robot.carry_out(command, lambda: None) for command in (1, "no number", 2)]
         with pytest.raises(ValueError, match="no number"):
@@ -44,11 +41,9 @@ def test_a_thread_answers_in_order_goes_on_after_an_error_and_rests_between() ->
 def test_without_a_thread_a_command_is_done_at_once_and_periods_are_recorded_from_time_to_time() -> None:
     robot, kept = Adder(), list[int]()
     robot.cycled()
-
     answer = robot.carry_out(4, lambda: kept.append(1))
     for _ in range(4):
         robot.cycled()
-
     assert answer.done()
     assert answer.result() == (4.0, threading.current_thread().name)
     assert len(kept) == 2

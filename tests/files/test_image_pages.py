@@ -1,7 +1,5 @@
 """Every page of a TIFF is a frame; one camera's images stay one sequence, in grey or RGB, however they were held."""
 
-from __future__ import annotations
-
 import contextlib
 import struct
 from collections.abc import Sequence
@@ -153,9 +151,6 @@ def test_damaged_stacks_end_in_a_refusal_or_in_images(tmp_path: Path, place: int
     assert len(found) in (0, 2, 3)
 
 
-# Orientation ---------------------------------------------------------------------------------------------------------
-
-
 def jpeg(image: np.ndarray, orientation: int | None) -> bytes:
     encoded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 100])[1].tobytes()
     if orientation is None:
@@ -178,9 +173,6 @@ def test_a_sequence_is_turned_as_its_first_image(tmp_path: Path, first: int | No
         np.testing.assert_array_equal(found, expected)
 
 
-# Grey beside colour --------------------------------------------------------------------------------------------------
-
-
 def test_grey_images_may_be_saved_as_rgb(tmp_path: Path) -> None:
     given = [noise(seed) for seed in range(4)]
     for at, (image, kind) in enumerate(zip(given, (0, 3, 0, 4), strict=True)):
@@ -199,9 +191,6 @@ def test_colour_beside_grey_stays_refused(tmp_path: Path) -> None:
         cv2.imwrite(str(tmp_path / "0.png"), first)
         cv2.imwrite(str(tmp_path / "1.png"), then)
         assert "one size, depth and channel count" in refusal(tmp_path)
-
-
-# Of cameras that write something else --------------------------------------------------------------------------------
 
 
 def test_images_that_cannot_be_read_are_not_left_out_of_a_folder(tmp_path: Path) -> None:

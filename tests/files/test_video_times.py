@@ -1,7 +1,5 @@
 """The frames of a video come with the times that the file has for them, whatever its rate does."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Distances of others: packed, raw, in several units, in files of points; what is none of them is refused by name."""
 
-from __future__ import annotations
-
 import json
 import struct
 from pathlib import Path

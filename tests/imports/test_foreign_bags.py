@@ -1,7 +1,5 @@
 """Bags with what is not of ROS beside their topics, and logs of a bus that others share: unknown is not damaged."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 from typing import Any

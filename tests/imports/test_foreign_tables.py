@@ -1,7 +1,5 @@
 """Tables as other programs write them: read right, or refused by what is wrong with them; never other numbers."""
 
-from __future__ import annotations
-
 import io
 import json
 import random

@@ -1,7 +1,5 @@
 """Poses of an arm's end: trees of transforms of any type, late or in parts, and rotations of tables in every form."""
 
-from __future__ import annotations
-
 import itertools
 from pathlib import Path
 from typing import Any

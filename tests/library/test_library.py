@@ -1,7 +1,5 @@
 """`import deformscope as ds`: what a script finds there, with files and with arrays, and what results can do."""
 
-from __future__ import annotations
-
 import ast
 import dataclasses
 import inspect

@@ -118,7 +118,6 @@ def test_a_video_of_a_varying_rate_plays_at_its_times(tmp_path: Path) -> None:
     while len(images) < 2 * len(times_ms):
         images += device.poll(0.05)
     device.close()
-
     mean_ms = 1000.0 / device.fps
     expected = np.append(times_ms, 1200 + mean_ms + np.asarray(times_ms))
     assert [image.stamp.device_ticks for image in images] == np.round(1e3 * expected).tolist()
