@@ -304,15 +304,16 @@ class FrameBuilder:
         nearest = {stated[name] for name, place in of.items() if place == max(of.values(), key=len)}
         usual = {STEP_M[encoding]} if encoding in STEP_M else set()
         known = nearest | usual or {*stated.values()}
-        if stream.step_m and (not nearest or stream.step_m in known):
-            return stream.step_m
-        if not stream.step_m and len(known) == 1 and (nearest or (usual and known >= {*stated.values()})):
+        by_map = stream.step_m or (float(self.in_metres("data", np.ones(1))[0]) if "data" in stream.units else 0.0)
+        if by_map and (not nearest or by_map in known):
+            return by_map
+        if not by_map and len(known) == 1 and (nearest or (usual and known >= {*stated.values()})):
             return known.pop()
         said = ", ".join(
             [*(f"{value:g} by {name}" for name, value in stated.items()), *(f"{one:g} by {encoding}" for one in usual)]
         )
         expected = f"the step of its distances [m]{said and ': '}{said or f', which {encoding!r} does not say'}"
-        raise stream.missing("unit_m", expected, stream.unit_m or "", "unit_m = 0.001, for mm,")
+        raise stream.missing("unit_m", expected, by_map or stream.unit_m or "", "unit_m = 0.001, for mm,")
 
     def in_metres(self, key: str, distances: FloatArray) -> FloatArray:
         """Real numbers as metres. key: the map's key in `units`"""
@@ -342,7 +343,7 @@ def _is_of_matrices(value: Any) -> bool:
     return isinstance(value, tuple) and len(value) > 0 and np.ndim(value[0]) > 0
 
 
-def _sides_of(value: Any, field: str) -> list[tuple[int, int]]:
+def sides_of(value: Any, field: str) -> list[tuple[int, int]]:
     """Rows and columns of a list of matrices, as the messages themselves say; empty where they do not."""
     for part in field.split(".")[:-1]:
         value = getattr(value, part, None)
@@ -392,11 +393,8 @@ def _wrench(self: FrameBuilder, row: Row, at: At) -> Frame | None:
 def _tactile(self: FrameBuilder, row: Row, at: At) -> Frame | None:
     shapes, pressure = [(pad.rows, pad.columns) for pad in self.stream.pads], self.values(row, "pressure_pa")
     self.check_numbers(row, "pressure_pa", pressure, at)
-    if (
-        shapes
-        and (said := _sides_of(at.values[0], (self._fields or {}).get("pressure_pa", ("",))[0]))
-        and said != shapes
-    ):
+    said = sides_of(at.values[0], (self._fields or {}).get("pressure_pa", ("",))[0])
+    if shapes and said and said != shapes:
         raise self.stream.missing("pads", f"rows and columns of its matrices, {said}, in their order", shapes)
     if shapes and _is_of_matrices(parts := row.get("pressure_pa")):
         sizes, texels = [np.size(one) for one in parts or ()], [rows * columns for rows, columns in shapes]
@@ -405,6 +403,7 @@ def _tactile(self: FrameBuilder, row: Row, at: At) -> Frame | None:
     ends = np.cumsum([rows * columns for rows, columns in shapes])
     if not shapes or len(pressure) != ends[-1]:
         about = f"name, rows, columns, texel_m, index, finger, part of each, {len(pressure)} texels in all"
+        about += f", rows and columns {said}" if said else ""
         raise self.stream.missing("pads", about, f"{ends[-1]} texels" if shapes else "")
     pads = tuple(one.reshape(shape) for one, shape in zip(np.split(pressure, ends[:-1]), shapes, strict=True))
     return TactileFrame(at.stamp, at.index, self.values(row, "counts", np.uint16, 0), pads, self.stream.device)
@@ -474,7 +473,12 @@ def _depth(self: FrameBuilder, row: Row, at: At) -> Frame | None:
     is_real = depth.dtype.kind == "f"
     unit_m = float(row.get("unit_m") or 0.0)
     unit_m = unit_m or (self.stream.step_m or REAL_STEP_M if is_real else self.step_m(encoding))
-    if not self.own and not is_real and not self.stream.step_m and _is_far(depth * unit_m):
+    if (
+        not self.own
+        and not is_real
+        and not (self.stream.step_m or self.stream.units.get("data"))
+        and _is_far(depth * unit_m)
+    ):
         came = f"{unit_m:g} m, by which most of them are beyond {FAR_M:g} m"
         raise self.stream.missing("unit_m", "the step of its distances", came, f"unit_m = {unit_m:g}, if it is that,")
     if not 1e-7 <= unit_m <= 10.0:

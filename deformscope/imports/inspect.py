@@ -14,7 +14,7 @@ from deformscope.errors import InputError
 from deformscope.frames import Stream
 from deformscope.images import read_image
 from deformscope.imports.captures import Counted
-from deformscope.imports.frame_builder import CLOUDS, DEPTH_UNIT, KINDS, STANDARD, STEP_M
+from deformscope.imports.frame_builder import CLOUDS, DEPTH_UNIT, KINDS, STANDARD, STEP_M, sides_of
 from deformscope.imports.image_messages import REAL, is_depth, parse_format
 from deformscope.imports.import_map import ASKED, ImportMap, MappedStream
 from deformscope.imports.point_files import read_points
@@ -31,7 +31,7 @@ TIMES = ("host_ns", "time", "timestamp", "stamp", "t", "datetime", "zeit")
 class Found:
     """A topic, as found in the source. seen: times at which its messages were recorded; stamp_ns: time stamp of the
     first message itself, None = it has none; encoding: encoding of images; frames: frames of transforms, where
-    is_tree; is_behind: most points of the first file have negative z
+    is_tree; matrices: field of matrices in a list; is_behind: most points of the first file have negative z
     joints: names of joints in the first message; cells: what fields of a table's first row hold that are no numbers
     unread: why its first message cannot be read"""
 
@@ -40,6 +40,7 @@ class Found:
     stamp_ns: int | None = None
     encoding: str = ""
     is_tree: bool = False
+    matrices: str = ""
     is_behind: bool = False
     frames: tuple[str, ...] = ()
     joints: tuple[str, ...] = ()
@@ -55,6 +56,10 @@ class Found:
         """Describe the topic from its first message."""
         self.encoding = _encoding(value)
         self.is_tree = hasattr(value, "transforms")
+        for name, items in vars(value).items() if hasattr(value, "__msgtype__") else ():
+            if isinstance(items, list) and items and sides_of(value, f"{name}.data"):
+                arrays = (key for key, one in vars(items[0]).items() if isinstance(one, np.ndarray))
+                self.matrices = next((f"{name}.{key}" for key in arrays), self.matrices)
         if isinstance(value, Path) and value.suffix.lower() in CLOUDS:
             z = read_points(value)[..., 2]
             self.is_behind = bool(np.count_nonzero(z < 0) > np.count_nonzero(z > 0))
@@ -141,6 +146,9 @@ def propose(reader: Reader, found: list[Found]) -> ImportMap:
             asked |= {"kind": "depth" if is_cloud or one.encoding == "16UC1" else "color", "time": ASKED}
             asked |= {"time_unit": ASKED, "units": {"points": ASKED} if is_cloud else {}}
             asked |= {"axes": "x, -y, -z"} if one.is_behind else {}
+        elif one.matrices:
+            columns = {"pressure_pa": one.matrices}
+            asked |= {"kind": "tactile", "columns": columns, "units": {one.matrices: ASKED}}
         elif one.topic.type not in STANDARD or (joints and one in poses):
             continue
         elif one.topic.type.endswith("Image"):

@@ -113,7 +113,8 @@ class _Link:
         (one, other), share = map(pose_of, both), (ns - before_ns) / (after_ns - before_ns)
         T: Pose = (1 - share) * one + share * other
         T[:3, :3] = Slerp([0, 1], Rotation.from_matrix([one[:3, :3], other[:3, :3]]))(share).as_matrix()
-        return T, max(ns - before_ns, after_ns - ns)
+        nearer = min if np.array_equal(one, other) else max  # a link that does not move may be repeated rarely
+        return T, nearer(ns - before_ns, after_ns - ns)
 
 
 class Poses:

@@ -260,6 +260,32 @@ def test_real_numbers_that_are_no_metres_are_asked_for(
     np.testing.assert_allclose(found[1:], TRUE_M[1:], atol=5.1e-5)
 
 
+@pytest.mark.parametrize(("unit", "unit_m"), [("mm", 1e-3), ("cm", 1e-2)])
+def test_a_unit_of_counts_is_their_step(
+    unit: str, unit_m: float, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    counts = np.rint(TRUE_M / unit_m).astype(np.uint16)
+    for encoding in ("16UC1", "mono16"):
+        source = raw(encoding, counts).write(tmp_path / encoding)
+        found = first(imported(source, depth_map(units={"data": unit}), tmp_path / f"{encoding}.rrd"))
+        np.testing.assert_allclose(found, TRUE_M, atol=unit_m)
+    error = refused(source, depth_map(units={"data": "N"}), tmp_path / "r.rrd", capfd)
+    assert "units.data of cam in the map: one of m, cm, mm, um; got 'N' | try: units" in error
+
+
+def test_counts_that_would_be_far_away_are_asked_for(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """As of a camera whose step is a micrometre, or which writes 65535 where it sees nothing."""
+    for name, counts in (
+        ("step", np.rint(TRUE_M * 6e4).astype(np.uint16)),
+        ("none", np.full((4, 4), 65535, np.uint16)),
+    ):
+        source = raw("16UC1", counts).write(tmp_path / name)
+        error = refused(source, depth_map(), tmp_path / "r.rrd", capfd)
+        assert "unit_m of cam in the map: the step of its distances; got '0.001 m, by which most of them" in error
+        found = first(imported(source, depth_map(unit_m=0.001), tmp_path / f"{name}.rrd"))
+        np.testing.assert_allclose(found, counts / 1000)
+
+
 def unseen(source: Path, text: str, out: Path, capfd: pytest.CaptureFixture[str]) -> str:
     """What is printed of an import in which nothing is valid."""
     capfd.readouterr()

@@ -139,6 +139,19 @@ def test_states_of_some_of_the_joints_are_losses_and_of_none_are_named(
     )
 
 
+def test_a_link_that_is_repeated_rarely_and_does_not_move_is_of_any_time(tmp_path: Path) -> None:
+    """As of older publishers of static transforms: once a second, on /tf itself."""
+    bag = Tree()
+    for at in range(1, 201):
+        bag.link(at * 10 * MS, "base", "flange", (0.5, 0.0, 0.4 - at / 1000))
+        if at % 100 == 1:
+            bag.link(at * 10 * MS, "flange", "tool", (0.0, 0.0, 0.1))
+        bag.add_joints(at * 10 * MS, JOINTS, [0.1, 0.2])
+    bag.link(2010 * MS, "flange", "tool", (0.0, 0.0, 0.1))
+    found = places(imported(bag.write(tmp_path / "bag"), arm_map(), tmp_path / "r.rrd"))
+    np.testing.assert_allclose(found[:, 2], [0.5 - at / 1000 for at in range(1, 201)], atol=1e-12)
+
+
 def test_a_state_between_two_poses_is_between_them(tmp_path: Path) -> None:
     """Poses at 10 Hz, 30 degrees apart, states at 100 Hz that come before them."""
     bag, turn = Tree(), Rotation.from_euler("x", 30, degrees=True)
@@ -335,9 +348,15 @@ def pads_map(sizes: list[tuple[int, int]], unit: str = "Pa") -> str:
     ("name", "unit", "factor"), [("float64", "Pa", 1.0), ("int16", "hPa", 100.0), ("int16", "DSA count", 473 / 592.1)]
 )
 def test_a_list_of_matrices_is_a_hand(
-    sizes: list[tuple[int, int]], name: str, unit: str, factor: float, tmp_path: Path
+    sizes: list[tuple[int, int]], name: str, unit: str, factor: float, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     source = matrices(Bag(), sizes, name).write(tmp_path / "bag")
+    text = inspected(source)
+    assert 'kind = "tactile"\ntopics = ["/pads"]\ncolumns = {"pressure_pa" = "pads.pressure"}' in text
+    texels = sum(wide * high for wide, high in sizes)
+    sides = [(high, wide) for wide, high in sizes]
+    expected = f"part of each, {texels} texels in all, rows and columns {sides}; got none"
+    assert expected in refused(source, text.replace('"?"', f'"{unit}"'), tmp_path / "s.rrd", capfd)
     frames: list[Any] = frames_of(imported(source, pads_map(sizes, unit), tmp_path / "r.rrd"))["hand"]
     for at, frame in enumerate(frames, 1):
         for place, (wide, high) in enumerate(sizes):
