@@ -61,7 +61,7 @@ def test_every_interval_is_in_the_table_and_the_table_names_no_other() -> None:
 
 
 def test_each_has_a_study_that_is_there_or_is_called_an_estimate() -> None:
-    root = DOC.parents[2]
+    root, known = DOC.parents[2], summaries()
     for name, (command, where) in table().items():
         if command == "open":
             continue
@@ -70,7 +70,7 @@ def test_each_has_a_study_that_is_there_or_is_called_an_estimate() -> None:
             continue
         study = re.search(r"`(?:python -m studies ((?:reproduce )?\w+)|(?:deformscope|pytest) [\w ./]+)`", command)
         assert study, (name, command)
-        assert study[1] is None or study[1] in summaries(), (name, command)
+        assert study[1] is None or study[1] in known, (name, command)
         page, words = re.match(r"(\S+\.md): (.+)", where).groups()  # type: ignore[union-attr]
         assert words in (root / "docs" / page).read_text(encoding="utf-8"), (name, where)
 
