@@ -281,7 +281,7 @@ def test_forces_that_are_not_known_come_back(tmp_path: Path) -> None:
     path = tmp_path / "r.rrd"
     frames = [dataclasses.replace(rig.wrench(at, "tip"), force_n=np.full((1, 3), np.nan)) for at in range(5)]
     with Recorder(path, "none", {"rig": ""}, application=RIG) as made:
-        made.start(RigLayout((rig.Stream("tip", "wrench", "optoforce"),)), rig.START_NS)
+        made.start(RigLayout((rig.frames.Stream("tip", "wrench", "optoforce"),)), rig.START_NS)
         made.write(frames)
     for to in ("csv", "parquet"):
         assert not differences(list(frames), frames_of(brought_back(path, to, tmp_path))["tip"])

@@ -106,7 +106,7 @@ def test_any_force_comes_back(forces: list[tuple[float, float, float]], late: bo
     ]
     path = folder / "r.rrd"
     with Recorder(path, "none", {"rig": ""}, application=RIG) as made:
-        made.start(RigLayout((rig.Stream("tip", "wrench", "optoforce"),)), rig.START_NS)
+        made.start(RigLayout((rig.frames.Stream("tip", "wrench", "optoforce"),)), rig.START_NS)
         made.write(frames)
     for to in ("parquet", "csv", "mcap"):
         assert not differences(list(frames), frames_of(brought_back(path, to, folder))["tip"]), to

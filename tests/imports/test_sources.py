@@ -77,7 +77,7 @@ def test_a_recording_or_ledger_that_may_not_be_read(
 
 def recorded(path: Path, **asked: Any) -> Path:
     with Recorder(path, "none", {"rig": ""}, application=RIG, **asked) as made:
-        made.start(RigLayout((rig.Stream("tip", "wrench", "imported"),)), rig.START_NS)
+        made.start(RigLayout((rig.frames.Stream("tip", "wrench", "imported"),)), rig.START_NS)
         made.write([rig.wrench(at, "tip") for at in range(5)])
     return path
 

@@ -309,7 +309,7 @@ def test_nothing_of_a_person_or_a_machine_is_in_an_anonymous_export(tmp_path: Pa
 
     secret = "Mallory"
     streams = tuple(
-        rig.Stream(one.device, one.kind, one.driver, serial=secret, firmware=secret, pads=one.pads)
+        rig.frames.Stream(one.device, one.kind, one.driver, serial=secret, firmware=secret, pads=one.pads)
         for one in rig.STREAMS
     )
     path = tmp_path / f"{secret}.rrd"
@@ -355,7 +355,7 @@ def test_what_a_recording_lost_and_whether_it_is_to_be_used_goes_along(
     path = tmp_path / "r.rrd"
     health = Health(Link.CLOSED, "", 5, lost=7)
     with Recorder(path, "none", {"rig": "", "first_s": math.nan}, application=RIG) as made:
-        made.start(RigLayout((rig.Stream("tip", "wrench", "imported"),)), rig.START_NS)
+        made.start(RigLayout((rig.frames.Stream("tip", "wrench", "imported"),)), rig.START_NS)
         made.write([rig.wrench(at, "tip") for at in range(5)])
         made.write([HealthReport(rig.ns(1), (("tip", health),))])
         made.stopped_because("alice pressed Ctrl-C")
@@ -457,7 +457,7 @@ def test_an_earlier_export_is_replaced_and_other_files_stay(tmp_path: Path, capf
 
 def test_devices_of_any_name_have_files_of_their_own_within_the_folder(tmp_path: Path) -> None:
     names = ("..", "a b", "a_b", "über/x", "a.b")
-    streams = tuple(rig.Stream(name, "wrench", "optoforce") for name in names)
+    streams = tuple(rig.frames.Stream(name, "wrench", "optoforce") for name in names)
     path = tmp_path / "r.rrd"
     with Recorder(path, "none", {"rig": ""}, application=RIG) as made:
         made.start(RigLayout(streams), rig.START_NS)
@@ -505,7 +505,7 @@ def test_times_that_ros_has_not_are_one_line(tmp_path: Path) -> None:
     pytest.importorskip("mcap_ros2")
     path = tmp_path / "r.rrd"
     with Recorder(path, "none", {"rig": ""}, application=RIG) as made:
-        made.start(RigLayout((rig.Stream("tip", "wrench", "optoforce"),)), 2**31 * 10**9)
+        made.start(RigLayout((rig.frames.Stream("tip", "wrench", "optoforce"),)), 2**31 * 10**9)
         made.write([dataclasses.replace(rig.wrench(at, "tip"), stamp=Stamp(2**31 * 10**9 + at)) for at in range(3)])
     with pytest.raises(ds.InputError, match=r"times from 0 to 2038, as ROS has them; got 2\.147e\+09 s"):
         exported(path, "mcap", tmp_path / "bag")
@@ -515,11 +515,12 @@ def test_times_that_ros_has_not_are_one_line(tmp_path: Path) -> None:
 def test_devices_of_any_name_have_topics_of_their_own(tmp_path: Path) -> None:
     pytest.importorskip("mcap_ros2")
     names = ("左", "右", "a b", "a_b")
-    streams = tuple(rig.Stream(name, "wrench", "optoforce") for name in names)
+    streams = tuple(rig.frames.Stream(name, "wrench", "optoforce") for name in names)
     path = tmp_path / "r.rrd"
     with Recorder(path, "none", {"rig": ""}, application=RIG) as made:
         made.start(
-            RigLayout((*streams, rig.Stream("x-1", "color", "uvc"), rig.Stream("x_1", "color", "uvc"))), rig.START_NS
+            RigLayout((*streams, rig.frames.Stream("x-1", "color", "uvc"), rig.frames.Stream("x_1", "color", "uvc"))),
+            rig.START_NS,
         )
         made.write([rig.wrench(at, name) for at in range(20) for name in names[: 1 + at % 4]])
         made.write([rig.color(at, name, (24, 32)) for at in range(3) for name in ("x-1", "x_1")[: 1 + at % 2]])
@@ -565,7 +566,7 @@ def test_a_robot_description_that_is_none_is_left_out_and_none_is_anonymous(
 @pytest.mark.parametrize("to", ["images", "video"])
 def test_cameras_of_any_name_have_images_of_their_own_within_the_folder(to: str, tmp_path: Path) -> None:
     cameras = ("..", "x y", "x_y", "x y-color", "color")
-    streams = tuple(rig.Stream(name, "color", "uvc") for name in cameras)
+    streams = tuple(rig.frames.Stream(name, "color", "uvc") for name in cameras)
     path = tmp_path / "r.rrd"
     with Recorder(path, "none", {"rig": ""}, application=RIG) as made:
         made.start(RigLayout(streams), rig.START_NS)
