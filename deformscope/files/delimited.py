@@ -21,7 +21,7 @@ from typing import Any, BinaryIO
 from deformscope.errors import InputError
 from deformscope.file_io import check_size
 
-SEPARATORS = {"\t": "tabs", ";": "`;`", ",": "commas", " ": "blanks"}
+SEPARATORS = {"\t": "tabs", ";": "`;`", "|": "`|`", ",": "commas", " ": "blanks"}
 """The likeliest first, and what they are called."""
 SEEN_BYTES, SEEN_LINES = 1 << 16, 16
 """How much of a table is looked at: its beginning as its end."""
@@ -92,6 +92,7 @@ _MOMENT = re.compile(
     r" ?(Z|[+-]\d\d:?\d\d)?",
     re.ASCII,
 )
+_THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}", re.ASCII)
 _UNIT = re.compile(r"[\[(<]([^\[\]()<>]{1,8})[\])>]\s*$")
 _Row = tuple[list[str], int]
 """Fields of a row, and the number of lines up to its end."""
@@ -125,7 +126,7 @@ class TableForm:
             [f"{SEPARATORS[self.separator]} between columns"] if self.separator != "," and len(self.names) > 1 else []
         )
         said += ["decimal commas"] if self.point == "," else []
-        said += [f"{self.before} lines before its header"] if self.before else []
+        said += [f"{self.before} line{'s' * (self.before > 1)} before its header"] if self.before else []
         without = f"no header after {self.skipped} lines" if self.skipped else "no header"
         said += [f"{without}: columns are named by their places"] if self.names[0] == "#1" and not self.before else []
         said += [f"its last line is cut and left out: {self.cut[:60]!r}"] if self.cut else []
@@ -164,7 +165,7 @@ def form_of(file: BinaryIO, skip_rows: int = 0, where: object = "", *, is_own: b
         line := file.readline(most)
     ):
         bare = re.sub(rb'"[^"]*"', b"", line)
-        columns = (max(map(bare.count, (b"\t", b";", b","))) or bare.count(b" ")) + 1
+        columns = (max(map(bare.count, (b"\t", b";", b"|", b","))) or bare.count(b" ")) + 1
         check_size(f"a table, of {columns} columns,", columns * COLUMN_BYTES, where)
         raw.append(line)
         count += len(line)
@@ -188,7 +189,8 @@ def form_of(file: BinaryIO, skip_rows: int = 0, where: object = "", *, is_own: b
         codec = "utf-16-le" if raw[0].startswith(codecs.BOM_UTF16_LE) else "utf-16-be"
     tail = _lines(file.read(), codec)[1 if start else best.form().skipped :]
     cut = best.cut_off(tail)
-    return replace(best.form(), encoding=encoding, end=size - len(cut.encode(codec)), cut=cut.strip())
+    words = cut.strip() if cut.strip("\t;|, \r\n") else ""
+    return replace(best.form(), encoding=encoding, end=size - len(cut.encode(codec)), cut=words)
 
 
 def open_table(file: BinaryIO, form: TableForm, types: Mapping[str, Any], nulls: Sequence[str] | None = None) -> Any:
@@ -258,6 +260,10 @@ class _Looked:
 
     @cached_property
     def _point(self) -> str:
+        if self.separator == ",":  # where commas separate, those of `"1,500"` rather group digits
+            quoted = [one for row in self._data for one in row if "," in one and _NUMBER.fullmatch(one)]
+            if all(map(_THOUSANDS.fullmatch, quoted)):
+                return "."
         marks = Counter(
             "," if "," in one else "."
             for row in self._data
@@ -298,9 +304,10 @@ class _Looked:
         return TableForm(self.separator, self._point, names, units, skipped, before if heads else 0, *kinds, is_likely)
 
     def cut_off(self, tail: Sequence[str]) -> str:
-        """The last line with what follows it, if it was cut off; else nothing. tail: the table's last lines"""
+        """What is no row at the end: the last line, if it was cut off, and lines without values. tail: the table's last
+        lines"""
         at = len(tail)
-        while at and not tail[at - 1].strip():
+        while at and not tail[at - 1].strip("\t;|, \r\n"):
             at -= 1
         *before, row = [one for one, _ in _split(tail[max(at - 64, 0) : at], self.separator)] or [[""] * self.width]
         is_cut = len(row) < self.width
@@ -312,7 +319,7 @@ class _Looked:
             is_cut = bool(is_number) and (
                 not _NUMBER.fullmatch(row[-1]) or (len(decimals) == 1 and own < max(decimals))
             )
-        return "".join(tail[at - 1 :]) if is_cut and at else ""
+        return "".join(tail[at - (is_cut and at > 0) :])
 
 
 def _heads(block: Sequence[Sequence[str]]) -> int:

@@ -482,14 +482,15 @@ def _batch_rows(about: Any, path: Path) -> int:
 
 
 def _has_ns(kind: pa.DataType) -> bool:
-    return bool(pa.types.is_timestamp(kind) or pa.types.is_duration(kind))
+    return bool(pa.types.is_timestamp(kind) or pa.types.is_duration(kind) or pa.types.is_time(kind))
 
 
 def _in_ns(batch: pa.RecordBatch, moments: Collection[str]) -> pa.RecordBatch:
     """Its times as whole numbers [ns]. moments: columns of times as text"""
     for at, one in enumerate(batch.schema):
         if _has_ns(one.type):
-            kind = pa.timestamp("ns", one.type.tz) if pa.types.is_timestamp(one.type) else pa.duration("ns")
+            kind = pa.time64("ns") if pa.types.is_time(one.type) else pa.duration("ns")
+            kind = pa.timestamp("ns", one.type.tz) if pa.types.is_timestamp(one.type) else kind
             batch = batch.set_column(at, one.name, batch.column(at).cast(kind).cast(pa.int64()))
         elif one.name in moments:
             texts = batch.column(at).to_pylist()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import heapq
 import itertools
 import math
@@ -14,6 +15,7 @@ from typing import Any
 
 from deformscope.errors import InputError
 from deformscope.file_io import read_file
+from deformscope.files.delimited import moment_ns
 from deformscope.frames import DepthFrame, Frame, HealthReport, Item, RawBytes, Stream, host_ns
 from deformscope.imports.captures import CaptureStream, Counted, check_capture
 from deformscope.imports.frame_builder import DEPTH_UNIT, TIME_NS, FrameBuilder, valid_of
@@ -261,8 +263,13 @@ class _Stream(Counted):
             unit = said if said in TIME_NS else stream.time_unit
             if unit not in TIME_NS:
                 raise stream.missing("time_unit", "one of s, ms, us, ns", unit or "")
+            if isinstance(value, str):
+                with contextlib.suppress(ValueError):
+                    return moment_ns(value)
+                with contextlib.suppress(ValueError):
+                    value = float(value)
             if not isinstance(value, int | float) or not math.isfinite(value):
-                raise InputError(f"times of {stream.device} in {name}", repr(value), "skip_rows, or another table")
+                raise InputError(f"times of {stream.device} in {name}", repr(value), "rows without it, or rate_hz")
             return value * TIME_NS[unit]
         if stream.time == "log":
             return message.log_ns

@@ -1,5 +1,6 @@
 """Bags with what is not of ROS beside their topics, and logs of a bus that others share: unknown is not damaged."""
 
+import random
 import shutil
 from pathlib import Path
 from typing import Any
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 from deformscope.cli import main
+from tests.cases import slow
 from tests.imports.test_captures_and_files import SENSITIVITY, TIP, check_forces, imported, readings, refused
 from tests.imports.test_import_mistakes import Bag
 from tests.imports.test_importing import frames_of, inspected
@@ -118,6 +120,56 @@ def test_a_folder_of_bags_without_metadata_is_read(parts: int, tmp_path: Path) -
         shutil.copy(next(written.glob("*.db3")), folder / f"take_{part + 9}.db3")
     frames: list[Any] = frames_of(imported(folder, inspected(folder), tmp_path / "r.rrd"))["ft"]
     assert [one.force_n[0, 0] for one in frames] == list(range(30))
+
+
+@pytest.mark.parametrize("seed", [*range(6), *(slow(seed) for seed in range(6, 60))])
+def test_no_change_of_the_map_of_a_bag_gives_other_numbers_in_silence(seed: int, tmp_path: Path) -> None:
+    """A unit that contradicts the message's, another kind and a missing field are refused; columns are the fields that
+    the map names."""
+    draw = random.Random(seed)
+    source, asked = write_mcap(tmp_path / "bag.mcap"), MAP
+    fields = {"x": "x", "y": "y", "z": "z"}
+    kind = draw.choice(["kind", "unit", "axis", "field", "time"])
+    if kind == "kind":
+        asked = MAP.replace("wrench", draw.choice(["arm", "hand", "tactile", "color", "depth"]))
+    elif kind == "unit":
+        asked += f'units = {{"wrench.force.{draw.choice("xyz")}" = "{draw.choice(["mN", "kN", "gf", "m", "N m"])}"}}\n'
+    elif kind == "field":
+        asked += f'columns = {{"force_x_n" = "{draw.choice(["wrench.force", "wrench.force.w", "x", "header"])}"}}\n'
+    elif kind == "time":
+        asked += 'time = "log"\n'
+    else:
+        shuffled = draw.sample("xyz", 3)
+        fields = dict(zip("xyz", shuffled, strict=True))
+        columns = ", ".join(f'"force_{axis}_n" = "wrench.force.{of}"' for axis, of in fields.items())
+        units = ", ".join(f'"wrench.force.{axis}" = "N"' for axis in "xyz")
+        asked += f"columns = {{{columns}}}\nunits = {{{units}}}\n"
+    (tmp_path / "map.toml").write_text(asked)
+    status = main(["import", str(source), "--map", str(tmp_path / "map.toml"), "--record", str(tmp_path / "r.rrd")])
+    assert status == (0 if kind in ("axis", "time") else 2)
+    if status == 0:
+        truth = {"x": 1.0, "y": 2.0}
+        expected = [[truth.get(fields[axis], 3.0 + at) for axis in "xyz"] for at in range(COUNT)]
+        found: list[Any] = frames_of(tmp_path / "r.rrd")["ft"]
+        np.testing.assert_array_equal([one.force_n[0] for one in found], expected)
+
+
+def test_a_folder_whose_metadata_lists_other_topics_is_read(tmp_path: Path) -> None:
+    folder = tmp_path / "take"
+    folder.mkdir()
+    write_mcap(folder / "take_0.mcap", beside=OTHERS["json"])
+    topics = "".join(
+        f"    - topic_metadata: {{name: {name}, type: {kind}, serialization_format: {form}, offered_qos_profiles: ''}}"
+        f"\n      message_count: {count}\n"
+        for name, kind, form, count in (("/ft", WRENCH, "cdr", COUNT), ("/other", "Note", "json", 1))
+    )
+    (folder / "metadata.yaml").write_text(
+        "rosbag2_bagfile_information:\n  version: 5\n  storage_identifier: mcap\n  duration: {nanoseconds: 490000000}\n"
+        "  starting_time: {nanoseconds_since_epoch: 1700000000000000000}\n  message_count: 51\n"
+        f"  topics_with_message_count:\n{topics}  compression_format: ''\n  compression_mode: ''\n"
+        "  relative_file_paths: [take_0.mcap]\n"
+    )
+    check(folder, tmp_path / "r.rrd")
 
 
 def can_lines() -> list[str]:

@@ -50,6 +50,7 @@ TABLES: dict[str, str | bytes] = {
     "tabs and decimal commas": written("\t", ","),
     "semicolons": written(";"),
     "semicolons and decimal commas": GERMAN,
+    "bars": written("|", ","),
     "blanks": written(" "),
     "runs of blanks": written("    "),
     "blanks, decimal commas": written("  ", ",", end="\r\n"),
@@ -66,6 +67,7 @@ TABLES: dict[str, str | bytes] = {
     "three header rows": "clock,plate,plate,plate\n" + written().replace("\n", "\ns,N,N,N\n", 1),
     "a separator after the last": written(";", ",", end=";\n"),
     "empty lines": "\n\n" + written().replace("\n", "\n\n") + "\n",
+    "rows without values at the end": written(";", ",") + ";;;\n\n;;;\n",
     "no last line end": written().rstrip("\n"),
 }
 
@@ -221,6 +223,22 @@ def test_times_of_day_and_dates_are_times(text: str, ns: int, separator: str, tm
     assert [one.stamp.host_ns for one in frames] == [ns] * 4
 
 
+@pytest.mark.parametrize("kind", [pa.time64("ns"), pa.time32("ms"), pa.string(), pa.timestamp("us", "UTC")])
+def test_times_of_a_parquet_are_times(kind: pa.DataType, tmp_path: Path) -> None:
+    ns = [45_296_789_000_000 + at * 10**7 for at in range(3)]
+    times = pa.array(ns).cast(pa.int64())
+    made = [f"12:34:56.{789 + 10 * at}" for at in range(3)] if kind == pa.string() else None
+    cast = (
+        times.cast(pa.timestamp("ns", "UTC") if pa.types.is_timestamp(kind) else pa.time64("ns")).cast(kind)
+        if made is None
+        else pa.array(made)
+    )
+    pq.write_table(pa.table({"t": cast, **{f"F{axis}": [1.0, 2.0, 3.0] for axis in "xyz"}}), tmp_path / "t.parquet")
+    asked = map_of(AXES, topics='["t.parquet"]')
+    frames: list[Any] = frames_of(imported(tmp_path / "t.parquet", asked, tmp_path / "r.rrd"))["tip"]
+    assert [one.stamp.host_ns for one in frames] == ns
+
+
 @pytest.mark.parametrize("text", ["25:00:00", "12:60:00", "11/29/2026 12:34:56", "12:34:56 PM", "noon"])
 def test_what_is_no_time_is_named(text: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     source = tmp_path / "t.csv"
@@ -236,6 +254,10 @@ def test_numbers_that_are_text_are_shown_and_named(tmp_path: Path, capfd: pytest
     asked = map_of(AXES, topics='["t.parquet"]')
     error = refused(source, asked, tmp_path / "r.rrd", capfd)
     assert "text in Fx, where numbers were expected: '1,5'" in error
+    grouped = tmp_path / "g.csv"
+    grouped.write_text("t,Fx,Fy,Fz\n" + '0.1,"1,500",2.5,3.5\n' * 3)
+    error = refused(grouped, map_of(AXES, topics='["g.csv"]'), tmp_path / "g.rrd", capfd)
+    assert "text in Fx, where numbers were expected: '1,500'" in error
     mixed = tmp_path / "t.csv"
     mixed.write_text("t;Fx;Fy;Fz\n" + "0,1;1.234,5;2,5;3,5\n" * 3)
     assert "Fx (text '1.234,5')" in inspected(mixed)
