@@ -84,19 +84,20 @@ class Source:
         if self._frames is not None:
             yield from self._frames
 
-    def thin(self, most: int) -> None:
+    def thin(self, most: int) -> int:
         """Give at most this number of frames, evenly spread, including the last one; at least two. Once it was
-        entered."""
-        if self._counted is not None and self.count is not None and self.count > most:
+        entered. Returns the number of frames that there are, or that are expected if it is not above `most`."""
+        if self._counted is not None and (self.count or 0) > most:
             self.count = self._counted()
-        if self.count is None or self.count <= most or self._frames is None:
-            return
-        kept = np.unique(np.linspace(0, self.count - 1, max(most, 2)).round().astype(int)).tolist()
+        if (there := self.count or 0) <= most or self._frames is None:
+            return there
+        kept = np.unique(np.linspace(0, there - 1, max(most, 2)).round().astype(int)).tolist()
         every = itertools.chain(self._ahead, self._frames)
         chosen = (frame for place, frame in enumerate(every) if place in kept)
         self.count = len(kept)
         self._frames = (replace(frame, index=index) for index, frame in enumerate(chosen))
         self._ahead = [next(self._frames)]
+        return there
 
     @property
     def size(self) -> tuple[int, int]:

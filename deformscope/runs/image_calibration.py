@@ -44,9 +44,10 @@ def _thinned(source: Source, particles: ParticleOptions, every: bool, note: Note
     if every:
         note(f"{count} frames are tracked")
         return particles
-    source.thin(most)
-    note(f"{most} of {count} frames are tracked, evenly spread; --fine tracks all")
-    return dataclasses.replace(particles, frames_of=count)
+    if (there := source.thin(most)) <= most:
+        return particles
+    note(f"{most} of {there} frames are tracked, evenly spread; --fine tracks all")
+    return dataclasses.replace(particles, frames_of=there)
 
 
 def calibrate_images(

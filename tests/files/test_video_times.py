@@ -79,7 +79,7 @@ def test_frames_are_spread_over_those_that_there_are(tmp_path: Path, name: str, 
         trimmed(path, 200)
         expected = [time - 200 for time in SLOWS_MS if time >= 200]
     with open_source([path]) as source:
-        source.thin(6)
+        assert source.thin(6) == len(expected)
         assert source.count == 6
         found = [frame.stamp.host_ns / 1e6 for frame in source]
     assert len(found) == 6
