@@ -8,16 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from deformscope.arrays import FloatArray
-from deformscope.cli.common import (
-    fit_progress,
-    quiet_warp,
-    read_file,
-    recorder_of,
-    replacing,
-    show,
-    write_file,
-    write_json,
-)
+from deformscope.cli import common
 from deformscope.config import PredictConfig
 from deformscope.errors import InputError
 from deformscope.files.arrays_file import numbers, read_arrays
@@ -26,15 +17,8 @@ from deformscope.files.pairs import parse_pair
 from deformscope.pictures.dents import dents_png
 from deformscope.pictures.findings import Findings
 from deformscope.pictures.report import Figure, Table
+from deformscope.runs import prediction
 from deformscope.runs.poke_comparison import compare
-from deformscope.runs.prediction import (
-    PredictionResult,
-    arrays_of,
-    comparison_table,
-    moved_body,
-    poke_of,
-    together_table,
-)
 from deformscope.session import Step
 from deformscope.stages.msm.solver import pick_device
 from deformscope.stages.poke.comparison import together
@@ -44,44 +28,48 @@ from deformscope.stages.poke.fitted import predict
 def run(config: PredictConfig) -> None:
     """Predict, compare, print and write."""
     model = load_model(config.source)
-    asked = [poke_of(text, model) for text in config.poke]
+    asked = [prediction.poke_of(text, model) for text in config.poke]
     points = None if config.points is None else _points(config.points)
-    seen = [parse_pair(read_file(path, "a pair file (.npz)"), path) for path in config.against]
-    quiet_warp()
+    seen = [parse_pair(common.read_file(path, "a pair file (.npz)"), path) for path in config.against]
+    common.quiet_warp()
     device = pick_device(config.device)
-    with fit_progress() as progress:
+    with common.fit_progress() as progress:
         found = []
         for index, poke in enumerate(asked):
             progress("predicting", index, len(asked))
-            found.append(PredictionResult(predict(model, poke, device=device), points))
+            found.append(prediction.PredictionResult(predict(model, poke, device=device), points))
         compared = compare(model, seen, device=device, progress=progress) if seen else []
     against: list[tuple[Table, ...]] = [
-        (comparison_table(str(path), one),) for path, one in zip(config.against, compared, strict=True)
+        (prediction.comparison_table(str(path), one),) for path, one in zip(config.against, compared, strict=True)
     ]
     summary = together(compared) if compared else None
     if summary is not None and len(against) > 1:
-        against[-1] = (*against[-1], together_table(summary))
+        against[-1] = (*against[-1], prediction.together_table(summary))
     every = [*(one.prediction for one in found), *(one.prediction for one in compared)]
-    show(Findings(tuple(chain.from_iterable([*(one.tables() for one in found), *against]))))
+    common.show(Findings(tuple(chain.from_iterable([*(one.tables() for one in found), *against]))))
     if config.out is not None:
-        with replacing(config.out) as file:
-            np.savez_compressed(file, **arrays_of(every))  # type: ignore[arg-type]  # numpy's stub
-    with recorder_of(config) as recorder:
+        with common.replacing(config.out) as file:
+            np.savez_compressed(file, **prediction.arrays_of(every))  # type: ignore[arg-type]  # numpy's stub
+    with common.recorder_of(config) as recorder:
         for index, one in enumerate(found):
             recorder.write(Step((one.findings(),), frame=index))
         for index, (tables, measured) in enumerate(zip(against, compared, strict=True), start=len(found)):
-            png, body = dents_png([measured.prediction], [measured]), moved_body(measured.prediction)
+            png, body = dents_png([measured.prediction], [measured]), prediction.moved_body(measured.prediction)
             figure = Figure(png, "A cut through the dent along x, with the measured surface")
             recorder.write(Step((Findings(tables, (figure,), (body,)),), frame=index))
     if config.picture is not None:
-        write_file(config.picture, dents_png(every, compared))
-    write_json(
+        common.write_file(config.picture, dents_png(every, compared))
+    common.write_json(
         {
             "model": str(config.source),
             "provenance": model.provenance,
             "predictions": [one.as_json() for one in found],
             "against": [
-                {"pair": str(path), **PredictionResult(measured.prediction).as_json(), "scores": measured.scores}
+                {
+                    "pair": str(path),
+                    **prediction.PredictionResult(measured.prediction).as_json(),
+                    "scores": measured.scores,
+                }
                 for path, measured in zip(config.against, compared, strict=True)
             ],
             "against_together": summary,
@@ -92,7 +80,7 @@ def run(config: PredictConfig) -> None:
 
 def _points(path: Path) -> FloatArray:
     expected = "an .npz with `points (n, 3)`"
-    found = read_arrays(read_file(path, expected), expected, path)
+    found = read_arrays(common.read_file(path, expected), expected, path)
     if "points" not in found:
         raise InputError(expected, ", ".join(sorted(found)) or "nothing in it", where=path)
     points = numbers(found, "points")

@@ -2,18 +2,7 @@
 
 from __future__ import annotations
 
-from deformscope.cli.common import (
-    EXIT_LOSSES,
-    check_writable,
-    console,
-    fit_progress,
-    say,
-    show,
-    show_table,
-    write_file,
-    write_json,
-    wrote,
-)
+from deformscope.cli import common
 from deformscope.config import (
     DiscardRecordingConfig,
     ExportConfig,
@@ -41,17 +30,17 @@ def live(config: LiveConfig) -> int:
 
 def _shown(run: RigRun, config: RigRunOptions) -> int:
     """Print the summary of the recording; the command's exit status."""
-    show(run.result)
-    write_json(run.result.as_json(), config.output.json)
+    common.show(run.result)
+    common.write_json(run.result.as_json(), config.output.json)
     recorded, losses = run.result.found["recording"], run.result.losses
     if recorded is not None:
-        wrote("recording", run.result.path)
+        common.wrote("recording", run.result.path)
     if losses and recorded:
-        say(f"deformscope: the recording is complete, with losses: {named(losses)}")
+        common.say(f"deformscope: the recording is complete, with losses: {named(losses)}")
     if run.early_by:
-        say(f"deformscope: ended {run.why}")
+        common.say(f"deformscope: ended {run.why}")
         return 128 + run.early_by
-    return EXIT_LOSSES if run.failures or (losses and recorded) else 0
+    return common.EXIT_LOSSES if run.failures or (losses and recorded) else 0
 
 
 def verify(config: VerifyConfig) -> int:
@@ -59,15 +48,15 @@ def verify(config: VerifyConfig) -> int:
     from deformscope.runs.verification import verify_recording
 
     found = verify_recording(config.recording, stages=config.stages, privacy=config.privacy)
-    show(found)
-    write_json(found.as_json(), config.json)
+    common.show(found)
+    common.write_json(found.as_json(), config.json)
     for line in found.remarks:
-        say(line)
+        common.say(line)
     if found.error is not None:
         raise found.error
     for line in found.losses:
-        say(f"deformscope: {line}")
-    return EXIT_LOSSES if found.losses else 0
+        common.say(f"deformscope: {line}")
+    return common.EXIT_LOSSES if found.losses else 0
 
 
 def recover(config: RecoverConfig) -> int:
@@ -75,23 +64,23 @@ def recover(config: RecoverConfig) -> int:
     from deformscope.runs.recovery import recover_recording
 
     found = recover_recording(config.recording, config.out)
-    wrote("recording", str(found.found["recovered"]))
-    show(found)
-    write_json(found.as_json(), config.json)
-    return EXIT_LOSSES if found.found["problems"] else 0
+    common.wrote("recording", str(found.found["recovered"]))
+    common.show(found)
+    common.write_json(found.as_json(), config.json)
+    return common.EXIT_LOSSES if found.found["problems"] else 0
 
 
 def export(config: ExportConfig) -> int:
     """Write the export, and list the written files. Returns the command's exit status."""
     from deformscope.runs.exporting import export_recording
 
-    with fit_progress() as progress:
+    with common.fit_progress() as progress:
         found = export_recording(config, progress)
-    show(found)
-    write_json(found.as_json(), config.json)
+    common.show(found)
+    common.write_json(found.as_json(), config.json)
     for line in found.remarks:
-        say(f"deformscope: {line}")
-    return EXIT_LOSSES if found.remarks or not found.checked else 0
+        common.say(f"deformscope: {line}")
+    return common.EXIT_LOSSES if found.remarks or not found.checked else 0
 
 
 def discard(config: DiscardRecordingConfig) -> None:
@@ -100,8 +89,8 @@ def discard(config: DiscardRecordingConfig) -> None:
 
     recording = OpenRecording(config.recording)
     recording.discard(config.reason, config.episode)
-    show_table(str(config.recording), [("discarded", str(one)) for one in recording.discarded()])
-    write_json(recording.as_json(), config.json)
+    common.show_table(str(config.recording), [("discarded", str(one)) for one in recording.discarded()])
+    common.write_json(recording.as_json(), config.json)
 
 
 def replay(config: ReplayConfig) -> int:
@@ -112,17 +101,17 @@ def replay(config: ReplayConfig) -> int:
     from deformscope.recording.ledger import ledger_path
     from deformscope.runs.replay import replay_on
 
-    with fit_progress() as progress:
+    with common.fit_progress() as progress:
         found = replay_on(config, progress)
-    show(*(table_text(one) if isinstance(one, Table) else one for one in found.shown))
-    write_json(found.as_json(), config.output.json)
+    common.show(*(table_text(one) if isinstance(one, Table) else one for one in found.shown))
+    common.write_json(found.as_json(), config.output.json)
     if found.different is not None:
         raise found.different
     for note in found.notes:
-        say(note)
+        common.say(note)
     if found.verdict:
-        console().print(found.verdict)
-    return 0 if ledger_path(config.recording).exists() else EXIT_LOSSES
+        common.console().print(found.verdict)
+    return 0 if ledger_path(config.recording).exists() else common.EXIT_LOSSES
 
 
 def report(config: ReportConfig) -> None:
@@ -130,10 +119,10 @@ def report(config: ReportConfig) -> None:
     from deformscope.runs.recording_report import report_recording
 
     out = config.recording.with_suffix(".html") if config.out is None else config.out
-    check_writable(out, "--out")
+    common.check_writable(out, "--out")
     found = report_recording(config.recording)
-    write_file(out, found.page().encode())
-    show(found)
-    say(f"stages missing: {', '.join(found.lacks) or 'none'}")
-    wrote("report", out)
-    write_json({**found.to_dict(), "report": out}, config.json)
+    common.write_file(out, found.page().encode())
+    common.show(found)
+    common.say(f"stages missing: {', '.join(found.lacks) or 'none'}")
+    common.wrote("report", out)
+    common.write_json({**found.to_dict(), "report": out}, config.json)

@@ -21,19 +21,7 @@ from deformscope.config.flags import Reads
 from deformscope.config.options import marks_of
 from deformscope.errors import InputError
 from deformscope.plain import plain
-from deformscope.runs.sweep import (
-    EXIT_STATUS,
-    FILES,
-    SweepOptions,
-    SweepTask,
-    Variation,
-    at_hand,
-    contents_of,
-    files_in,
-    in_order,
-    sweep_on,
-    vary,
-)
+from deformscope.runs import sweep
 
 KEY = "{key}"
 
@@ -59,12 +47,12 @@ def run(options: SweepConfig) -> int:
     for one in options.vary:
         flag, _, listed = one.partition("=")
         values[flag.removeprefix("--")] = listed.split("|" if "|" in listed else ",")
-    variations = [_variation(options.command, varied, sources[0]) for varied in vary(values)]
+    variations = [_variation(options.command, varied, sources[0]) for varied in sweep.vary(values)]
     if any(one.argument.options is None for one in variations):
-        make_folder(options.out / FILES)
-    how = SweepOptions(options.on, options.workers, options.send, options.limit_s)
+        make_folder(options.out / sweep.FILES)
+    how = sweep.SweepOptions(options.on, options.workers, options.send, options.limit_s)
     with fit_progress() as progress:
-        found = sweep_on(run_swept, sources, variations, options.out, how, begin=begin_worker, progress=progress)
+        found = sweep.sweep_on(run_swept, sources, variations, options.out, how, begin=begin_worker, progress=progress)
     show(found)
     write_json(found.to_dict(), options.json)
     return EXIT_LOSSES if found.failed else 0
@@ -76,11 +64,11 @@ def find_sources(options: SweepConfig) -> list[Path]:
         from deformscope.runs.catalog import catalogued_paths
 
         paths = catalogued_paths(options.source, options.where)
-        return in_order(paths, options.out, options.match, options.source)
-    return files_in(options.source, options.out, options.match)
+        return sweep.in_order(paths, options.out, options.match, options.source)
+    return sweep.files_in(options.source, options.out, options.match)
 
 
-def _variation(typed: Sequence[str], varied: dict[str, Any], example: Path) -> Variation:
+def _variation(typed: Sequence[str], varied: dict[str, Any], example: Path) -> sweep.Variation:
     """The command with some values. Raises InputError for settings that no file supports."""
     name, words = cli.find_command(list(typed))
     kind = getattr(config, cli.COMMANDS[name].config)
@@ -100,10 +88,10 @@ def _variation(typed: Sequence[str], varied: dict[str, Any], example: Path) -> V
     if written := [one for one in options.writes() if not one.path.name.startswith(KEY) or len(one.path.parts) > 1]:
         raise InputError(f"a file for each task after {written[0].flag}", str(written[0].path), f"'{KEY}.rrd'")
     read = [one for one in options.reads() if one != str(example)]
-    identity = [name, plain(_with(options, fields[0], "")), *contents_of(read)]
+    identity = [name, plain(_with(options, fields[0], "")), *sweep.contents_of(read)]
     ready = None if options.writes() else options
     settings = {flag.replace("-", "_"): _number(value) for flag, value in varied.items()}
-    return Variation(
+    return sweep.Variation(
         settings,
         SweptCommand(name=name, words=tuple(words), source=fields[0], options=ready, folder=str(Path.cwd())),
         json.dumps(identity),
@@ -125,12 +113,12 @@ def _with(options: Any, name: str, source: str) -> Any:
     return dataclasses.replace(options, **{name: (source,) if isinstance(before, tuple) else type(before)(source)})
 
 
-def run_swept(task: SweepTask) -> Any:
+def run_swept(task: sweep.SweepTask) -> Any:
     """Run the command on its file, in a worker; returns its JSON."""
     swept: SweptCommand = task.argument
     command = cli.COMMANDS[swept.name]
     out, folder = io.StringIO(), swept.folder if Path(swept.folder).is_dir() else "."
-    with chdir(folder), redirect_stdout(out), redirect_stderr(io.StringIO()), at_hand(task) as source:
+    with chdir(folder), redirect_stdout(out), redirect_stderr(io.StringIO()), sweep.at_hand(task) as source:
         cli.quiet_libraries()
         if swept.options is None:
             for left in Path(task.files).parent.glob(f"{task.key}*"):  # by a worker that was killed
@@ -141,4 +129,4 @@ def run_swept(task: SweepTask) -> Any:
             options = _with(swept.options, swept.source, source)
         status = cli.run_options(options, getattr(importlib.import_module(command.module), command.function))
     found = json.loads(out.getvalue())
-    return {**found, EXIT_STATUS: status} if status and isinstance(found, dict) else found
+    return {**found, sweep.EXIT_STATUS: status} if status and isinstance(found, dict) else found

@@ -7,18 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deformscope.frames import (
-    ArmFrame,
-    ColorFrame,
-    DepthFrame,
-    Frame,
-    HandFrame,
-    Kind,
-    Pad,
-    Stream,
-    TactileFrame,
-    WrenchFrame,
-)
+from deformscope import frames
 from deformscope.rig.driver_table import Driver
 from deformscope_drivers.device import Device
 from deformscope_drivers.dsa.messages import TEXEL_MAX
@@ -37,12 +26,12 @@ FINGER_CLOSED = 6800.0
 """Position of a closed finger of a Jaco (protocol reference, section 3)."""
 
 
-def to_frame(kind: Kind, reading: object, index: int, name: str, device: object) -> Frame:
+def to_frame(kind: frames.Kind, reading: object, index: int, name: str, device: object) -> frames.Frame:
     """A driver's reading as a frame. index: its place in the device's stream; name: name of the device in its rig"""
     return _FRAMES[kind](reading, index, name, device)
 
 
-def describe(name: str, driver: Driver, device: Device[Any], *, simulated: bool) -> Stream:
+def describe(name: str, driver: Driver, device: Device[Any], *, simulated: bool) -> frames.Stream:
     """Description of an open device before its first frame."""
     who = device.identity()
     opened: Any = device
@@ -57,35 +46,35 @@ def describe(name: str, driver: Driver, device: Device[Any], *, simulated: bool)
             }
         case "arm":
             known = {"urdf": opened.urdf}
-    return Stream(name, driver.kind, driver.name, simulated, who.serial, who.firmware, **known)
+    return frames.Stream(name, driver.kind, driver.name, simulated, who.serial, who.firmware, **known)
 
 
-def _color(reading: ColorImage, index: int, name: str, device: object) -> Frame:
-    return ColorFrame(reading.stamp, index, reading.image, name)
+def _color(reading: ColorImage, index: int, name: str, device: object) -> frames.Frame:
+    return frames.ColorFrame(reading.stamp, index, reading.image, name)
 
 
-def _depth(reading: DepthImage, index: int, name: str, device: object) -> Frame:
-    return DepthFrame(reading.stamp, index, reading.depth, reading.unit_m, reading.color, name)
+def _depth(reading: DepthImage, index: int, name: str, device: object) -> frames.Frame:
+    return frames.DepthFrame(reading.stamp, index, reading.depth, reading.unit_m, reading.color, name)
 
 
-def _tactile(reading: TactileReading, index: int, name: str, device: Dsa) -> Frame:
+def _tactile(reading: TactileReading, index: int, name: str, device: Dsa) -> frames.Frame:
     counts = np.concatenate([pad.ravel() for pad in reading.pads])
-    return TactileFrame(reading.stamp, index, counts, tuple(device.pressure_pa(reading)), name)
+    return frames.TactileFrame(reading.stamp, index, counts, tuple(device.pressure_pa(reading)), name)
 
 
-def _wrench(reading: ForceMeasurement, index: int, name: str, device: object) -> Frame:
+def _wrench(reading: ForceMeasurement, index: int, name: str, device: object) -> frames.Frame:
     counts = np.array(reading.counts, np.int64)
     known = reading.per_count is not None
     force_n = reading.force_n if known else np.full((len(counts), 3), np.nan)
     torque_nm = reading.torque_nm if known else None
-    return WrenchFrame(
+    return frames.WrenchFrame(
         reading.stamp, index, counts.ravel(), force_n, torque_nm, bool(reading.overload), reading.usable, name
     )
 
 
-def _arm(reading: ArmState, index: int, name: str, device: object) -> Frame:
+def _arm(reading: ArmState, index: int, name: str, device: object) -> frames.Frame:
     force_n, torque_nm = np.array(reading.wrench[:3]), np.array(reading.wrench[3:])
-    return ArmFrame(
+    return frames.ArmFrame(
         stamp=reading.stamp,
         index=index,
         joint_deg=np.array(reading.joints_deg),
@@ -101,16 +90,16 @@ def _arm(reading: ArmState, index: int, name: str, device: object) -> Frame:
     )
 
 
-def _hand(reading: HandReading, index: int, name: str, device: object) -> Frame:
+def _hand(reading: HandReading, index: int, name: str, device: object) -> frames.Frame:
     temperature_c = np.full(9, np.nan) if reading.temperature_c is None else np.array(reading.temperature_c)
     states = tuple(state.name.lower() for state in reading.state)
     position_deg, velocity_deg_s = np.array(reading.position_deg), np.array(reading.velocity_deg_s)
-    return HandFrame(reading.stamp, index, position_deg, velocity_deg_s, temperature_c, states, name)
+    return frames.HandFrame(reading.stamp, index, position_deg, velocity_deg_s, temperature_c, states, name)
 
 
 def _of_tactile(device: Dsa) -> dict[str, Any]:
     pads = tuple(
-        Pad(
+        frames.Pad(
             pad.name,
             matrix.cells_y,
             matrix.cells_x,
@@ -125,7 +114,7 @@ def _of_tactile(device: Dsa) -> dict[str, Any]:
     return {"pads": pads, "full_scale_pa": float(max(map(np.max, full)))}
 
 
-_FRAMES: dict[Kind, Callable[[Any, int, str, Any], Frame]] = {
+_FRAMES: dict[frames.Kind, Callable[[Any, int, str, Any], frames.Frame]] = {
     "color": _color,
     "depth": _depth,
     "tactile": _tactile,

@@ -19,17 +19,9 @@ from typing import Any, Literal
 
 from deformscope.errors import InputError
 from deformscope.file_io import SAMPLE_SCHEME, nearest, resolve, sample_names
+from deformscope.rig import sections
 from deformscope.rig.calibrated import CalibratedSection
 from deformscope.rig.driver_table import DRIVERS, Driver
-from deformscope.rig.sections import (
-    ContainerSection,
-    HandSection,
-    ShapeSection,
-    SqueezeSection,
-    check,
-    check_orthogonal,
-    check_transform,
-)
 from deformscope_drivers.device import Device
 from deformscope_drivers.errors import DeviceError
 
@@ -88,11 +80,11 @@ class Camera:
     doubt_m: float = 0.0
 
     def __post_init__(self) -> None:
-        check(0 <= self.doubt_m <= 0.03, "doubt_m between 0 and 0.03", self.doubt_m)
+        sections.check(0 <= self.doubt_m <= 0.03, "doubt_m between 0 and 0.03", self.doubt_m)
         if self.focal_px is not None:
-            check(min(self.focal_px) > 0, "focal_px above 0", self.focal_px)
+            sections.check(min(self.focal_px) > 0, "focal_px above 0", self.focal_px)
         if self.T_arm_camera is not None:
-            check_transform("T_arm_camera", self.T_arm_camera)
+            sections.check_transform("T_arm_camera", self.T_arm_camera)
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,20 +114,20 @@ class Tool:
     force_gain_sd: float | None = None
 
     def __post_init__(self) -> None:
-        check(0 <= self.length_m <= 1, "length_m between 0 and 1", self.length_m)
-        check(self.tip in ("sphere", "disc", "flat"), 'tip = "sphere", "disc" or "flat"', repr(self.tip))
-        check(0 < self.stick_radius_m <= 0.1, "stick_radius_m above 0 and up to 0.1", self.stick_radius_m)
-        check(0 < self.radius_m <= 0.2, "radius_m above 0 and up to 0.2", self.radius_m)
+        sections.check(0 <= self.length_m <= 1, "length_m between 0 and 1", self.length_m)
+        sections.check(self.tip in ("sphere", "disc", "flat"), 'tip = "sphere", "disc" or "flat"', repr(self.tip))
+        sections.check(0 < self.stick_radius_m <= 0.1, "stick_radius_m above 0 and up to 0.1", self.stick_radius_m)
+        sections.check(0 < self.radius_m <= 0.2, "radius_m above 0 and up to 0.2", self.radius_m)
         if self.T_ee_tip is not None:
-            check_transform("T_ee_tip", self.T_ee_tip)
+            sections.check_transform("T_ee_tip", self.T_ee_tip)
         if self.R_tip_force is not None:
-            check_orthogonal("R_tip_force", self.R_tip_force)
+            sections.check_orthogonal("R_tip_force", self.R_tip_force)
         given = self.compliance_m_per_n
-        check(given is None or 0 <= given < 0.01, "compliance_m_per_n between 0 and 0.01", given)
-        check(0 <= self.compliance_sd < 0.01, "compliance_sd between 0 and 0.01", self.compliance_sd)
-        check(0.5 <= self.force_gain <= 2, "force_gain between 0.5 and 2", self.force_gain)
+        sections.check(given is None or 0 <= given < 0.01, "compliance_m_per_n between 0 and 0.01", given)
+        sections.check(0 <= self.compliance_sd < 0.01, "compliance_sd between 0 and 0.01", self.compliance_sd)
+        sections.check(0.5 <= self.force_gain <= 2, "force_gain between 0.5 and 2", self.force_gain)
         known_to = self.force_gain_sd
-        check(known_to is None or 0 <= known_to <= 0.2, "force_gain_sd between 0 and 0.2", known_to)
+        sections.check(known_to is None or 0 <= known_to <= 0.2, "force_gain_sd between 0 and 0.2", known_to)
 
 
 USUAL_THICKNESS_M = 0.05
@@ -160,11 +152,11 @@ class SurfaceSection:
     hidden: int | None = None
 
     def __post_init__(self) -> None:
-        check(all(0.05 <= side <= 2 for side in self.size_m), "size_m between 0.05 and 2", self.size_m)
+        sections.check(all(0.05 <= side <= 2 for side in self.size_m), "size_m between 0.05 and 2", self.size_m)
         given = self.thickness_m
-        check(given is None or 0.005 <= given <= 0.5, "thickness_m between 0.005 and 0.5", given)
+        sections.check(given is None or 0.005 <= given <= 0.5, "thickness_m between 0.005 and 0.5", given)
         if self.T_arm_surface is not None:
-            check_transform("T_arm_surface", self.T_arm_surface)
+            sections.check_transform("T_arm_surface", self.T_arm_surface)
 
     @property
     def top_m(self) -> float:
@@ -209,14 +201,14 @@ class Workspace:
         _check_box(self.low_m, self.high_m, "")
         _check_box(self.arm_low_m, self.arm_high_m, "arm_")
         forces = self.target_force_n, self.soft_stop_n, self.hard_stop_n
-        check(0 < forces[0] < forces[1] < forces[2], "0 < target_force_n < soft_stop_n < hard_stop_n", forces)
-        check(forces[2] <= 50, "hard_stop_n up to 50", forces[2])
+        sections.check(0 < forces[0] < forces[1] < forces[2], "0 < target_force_n < soft_stop_n < hard_stop_n", forces)
+        sections.check(forces[2] <= 50, "hard_stop_n up to 50", forces[2])
         speeds = self.contact_speed_m_s, self.travel_speed_m_s
-        check(0 < speeds[0] <= speeds[1] <= 0.2, "0 < contact_speed_m_s <= travel_speed_m_s <= 0.2", speeds)
+        sections.check(0 < speeds[0] <= speeds[1] <= 0.2, "0 < contact_speed_m_s <= travel_speed_m_s <= 0.2", speeds)
         for name in ("force_silent_s", "arm_silent_s", "arm_frozen_s", "camera_silent_s"):
             given_s = getattr(self, name)
-            check(given_s is None or 0.01 <= given_s <= 0.5, f"{name} between 0.01 and 0.5", given_s)
-        check(0 <= self.collision_nm <= 50, "collision_nm between 0 and 50", self.collision_nm)
+            sections.check(given_s is None or 0.01 <= given_s <= 0.5, f"{name} between 0.01 and 0.5", given_s)
+        sections.check(0 <= self.collision_nm <= 50, "collision_nm between 0 and 50", self.collision_nm)
 
     @property
     def arm_box(self) -> tuple[tuple[float, float, float], tuple[float, float, float]] | None:
@@ -225,10 +217,10 @@ class Workspace:
 
 
 def _check_box(low_m: Sequence[float] | None, high_m: Sequence[float] | None, kind: str) -> None:
-    check((low_m is None) == (high_m is None), f"both {kind}low_m and {kind}high_m, or neither", "one of them")
+    sections.check((low_m is None) == (high_m is None), f"both {kind}low_m and {kind}high_m, or neither", "one of them")
     if low_m is not None and high_m is not None:
         rising = all(low < high for low, high in zip(low_m, high_m, strict=True))
-        check(rising, f"{kind}low_m below {kind}high_m in every axis", f"{low_m}, {high_m}")
+        sections.check(rising, f"{kind}low_m below {kind}high_m in every axis", f"{low_m}, {high_m}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,13 +247,13 @@ class Record:
 SECTIONS: dict[str, Any] = {
     "camera": Camera,
     "tool": Tool,
-    "shape": ShapeSection,
+    "shape": sections.ShapeSection,
     "surface": SurfaceSection,
     "workspace": Workspace,
     "touch": TouchSection,
-    "hand": HandSection,
-    "container": ContainerSection,
-    "squeeze": SqueezeSection,
+    "hand": sections.HandSection,
+    "container": sections.ContainerSection,
+    "squeeze": sections.SqueezeSection,
     "record": Record,
     "calibrated": CalibratedSection,
 }
@@ -280,13 +272,13 @@ class Rig:
     devices: tuple[RigDevice, ...]
     camera: Camera = field(default_factory=Camera)
     tool: Tool = field(default_factory=Tool)
-    shape: ShapeSection = field(default_factory=ShapeSection)
+    shape: sections.ShapeSection = field(default_factory=sections.ShapeSection)
     surface: SurfaceSection = field(default_factory=SurfaceSection)
     workspace: Workspace = field(default_factory=Workspace)
     touch: TouchSection = field(default_factory=TouchSection)
-    hand: HandSection = field(default_factory=HandSection)
-    container: ContainerSection = field(default_factory=ContainerSection)
-    squeeze: SqueezeSection = field(default_factory=SqueezeSection)
+    hand: sections.HandSection = field(default_factory=sections.HandSection)
+    container: sections.ContainerSection = field(default_factory=sections.ContainerSection)
+    squeeze: sections.SqueezeSection = field(default_factory=sections.SqueezeSection)
     record: Record = field(default_factory=Record)
     calibrated: CalibratedSection = field(default_factory=CalibratedSection)
     folder: Path = Path()
@@ -367,7 +359,7 @@ def _check_values(content: dict[str, Any]) -> None:
     while waiting:
         place, value, depth = waiting.pop()
         if isinstance(value, dict | list):
-            check(depth < DEEPEST, f"at most {DEEPEST} levels of tables and lists", f"more in {place}")
+            sections.check(depth < DEEPEST, f"at most {DEEPEST} levels of tables and lists", f"more in {place}")
             inner = dict(enumerate(value)) if isinstance(value, list) else value
             if odd := [key for key in inner if not str(key).isprintable()]:
                 raise InputError("keys without control characters", repr(str(odd[0])[:PLACE_CHARACTERS]))
@@ -375,11 +367,11 @@ def _check_values(content: dict[str, Any]) -> None:
                 (f"{place}.{key}"[-PLACE_CHARACTERS:].lstrip("."), one, depth + 1) for key, one in inner.items()
             )
         elif isinstance(value, int | float):
-            check(
+            sections.check(
                 abs(value) <= sys.float_info.max, f"{place} that is finite", "inf, nan, or a number that is too large"
             )
         elif isinstance(value, str):
-            check(value.isprintable(), f"{place} without control characters", repr(value[:PLACE_CHARACTERS]))
+            sections.check(value.isprintable(), f"{place} without control characters", repr(value[:PLACE_CHARACTERS]))
 
 
 def _device(name: str, given: object, trusted: bool, late_ns: int) -> RigDevice:

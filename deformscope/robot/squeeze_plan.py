@@ -14,14 +14,7 @@ from deformscope.capsule import Capsule
 from deformscope.errors import InputError
 from deformscope.rig.sections import ContainerSection, SqueezeSection
 from deformscope_drivers.arm.kinematics import transform
-from deformscope_drivers.sdh.kinematics import (
-    BASE_HEIGHT_M,
-    BASE_SIDE_M,
-    DISTAL_LINK_M,
-    FINGERS,
-    PROXIMAL_LINK_M,
-    finger_points,
-)
+from deformscope_drivers.sdh import kinematics
 
 BASE_DEG = 90.0
 """Angle of the base axis at which its two fingers face each other: `deformscope_drivers.sdh.kinematics`."""
@@ -33,7 +26,7 @@ a smaller angle, a displaced hand touches before it closes; with a larger one, c
 the standard 6 deg/s)."""
 CLOSING_AXES = (1, 5)
 """The proximal axes of fingers 0 and 2 (Schunk's order of axes)."""
-PAD_ALONG_M = 0.6 * DISTAL_LINK_M
+PAD_ALONG_M = 0.6 * kinematics.DISTAL_LINK_M
 """Place of its pad's middle along the distal link. Assumed."""
 
 
@@ -49,15 +42,15 @@ class GripShape:
     @property
     def middle_m(self) -> tuple[float, float, float]:
         """The point midway between the two pads at contact, hand frame [m]."""
-        return 0.0, FINGERS[0].base_m[1], self.reach_m
+        return 0.0, kinematics.FINGERS[0].base_m[1], self.reach_m
 
     @classmethod
     def of(cls, container: ContainerSection, squeeze: SqueezeSection) -> GripShape:
         """The pre-shape for a container of this width. Raises InputError if the fingers cannot close on it."""
         half_m = container.size_m[0] / 2 + PAD_M
-        lean = (BASE_SIDE_M / 2 - half_m) / PROXIMAL_LINK_M
+        lean = (kinematics.BASE_SIDE_M / 2 - half_m) / kinematics.PROXIMAL_LINK_M
         if not abs(lean) < 0.95:
-            widest = 2 * (BASE_SIDE_M / 2 + 0.95 * PROXIMAL_LINK_M - PAD_M)
+            widest = 2 * (kinematics.BASE_SIDE_M / 2 + 0.95 * kinematics.PROXIMAL_LINK_M - PAD_M)
             raise InputError(f"a container up to {widest:.3f} m wide along x", f"{container.size_m[0]:g} m")
         touching = math.degrees(math.asin(lean))
         distal = -touching if squeeze.distal_deg is None else squeeze.distal_deg
@@ -65,16 +58,16 @@ class GripShape:
             low, high = -80.0, 80.0  # by bisection, where the pad is half_m from the middle of the hand
             for _ in range(40):
                 middle = (low + high) / 2
-                leaning = PROXIMAL_LINK_M * math.sin(math.radians(middle))
-                leaning += DISTAL_LINK_M * math.sin(math.radians(middle + distal))
-                low, high = (middle, high) if BASE_SIDE_M / 2 - leaning > half_m else (low, middle)
+                leaning = kinematics.PROXIMAL_LINK_M * math.sin(math.radians(middle))
+                leaning += kinematics.DISTAL_LINK_M * math.sin(math.radians(middle + distal))
+                low, high = (middle, high) if kinematics.BASE_SIDE_M / 2 - leaning > half_m else (low, middle)
             touching = low
         opened = touching - OPENING_DEG if squeeze.open_deg is None else squeeze.open_deg
         if not opened < touching:
             came = f"{opened:g}, contact at {touching:.1f} deg"
             raise InputError("[squeeze] open_deg below the angle of contact", came)
-        upright = PROXIMAL_LINK_M * math.cos(math.radians(touching))
-        reach_m = BASE_HEIGHT_M + upright + PAD_ALONG_M * math.cos(math.radians(touching + distal))
+        upright = kinematics.PROXIMAL_LINK_M * math.cos(math.radians(touching))
+        reach_m = kinematics.BASE_HEIGHT_M + upright + PAD_ALONG_M * math.cos(math.radians(touching + distal))
         return cls(_angles(opened, distal, squeeze), _angles(touching, distal, squeeze), reach_m)
 
 
@@ -140,10 +133,10 @@ LINK_M, PALM_M = 0.012, 0.055
 def hand_capsules(position_deg: npt.NDArray[np.float64]) -> list[Capsule]:
     """Fingers and palm in the hand frame. position_deg: (7,)"""
     found = []
-    for finger in range(len(FINGERS)):
-        points = finger_points(position_deg, finger)
+    for finger in range(len(kinematics.FINGERS)):
+        points = kinematics.finger_points(position_deg, finger)
         found += [Capsule(points[0], points[1], LINK_M), Capsule(points[1], points[2], LINK_M)]
-    palm = np.array([[0.0, 0.0, -0.05], [0.0, 0.0, BASE_HEIGHT_M - PALM_M + 0.02]])
+    palm = np.array([[0.0, 0.0, -0.05], [0.0, 0.0, kinematics.BASE_HEIGHT_M - PALM_M + 0.02]])
     return [*found, Capsule(palm[0], palm[1], PALM_M)]
 
 

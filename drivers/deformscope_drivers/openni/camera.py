@@ -12,17 +12,7 @@ from dataclasses import dataclass
 from deformscope_drivers.errors import LinkLost, SettingsRefused
 from deformscope_drivers.frame_message import INDEX_MASK, FrameMessage
 from deformscope_drivers.hosted import Channel, exit_without_cleanup
-from deformscope_drivers.openni.library import (
-    END_OF_FILE,
-    MANUAL_SPEED,
-    UNITS_M,
-    Frame,
-    Mode,
-    Openni,
-    OpenniStream,
-    PixelFormat,
-    Sensor,
-)
+from deformscope_drivers.openni import library as openni
 
 WAITING = 4
 
@@ -50,13 +40,13 @@ class OpenniCamera:
 
     def __init__(self, settings: OpenniSettings) -> None:
         self._settings = settings
-        self._openni = Openni(settings.library)
+        self._openni = openni.Openni(settings.library)
         self._device = self._openni.open(settings.port)
-        self.depth = self._device.stream(Sensor.DEPTH)
-        self.color = self._device.stream(Sensor.COLOR) if settings.color else None
+        self.depth = self._device.stream(openni.Sensor.DEPTH)
+        self.color = self._device.stream(openni.Sensor.COLOR) if settings.color else None
         self._ended = False
         if self._device.is_recording:
-            self._device.play(settings.speed or MANUAL_SPEED, settings.loop)
+            self._device.play(settings.speed or openni.MANUAL_SPEED, settings.loop)
         for stream in self._streams():
             self._set_mode(stream)
             if stream.mirror() is not None and stream.mirror() != settings.mirror:
@@ -76,7 +66,7 @@ class OpenniCamera:
             "width": mode.width,
             "height": mode.height,
             "fps": mode.fps,
-            "unit_m": UNITS_M[PixelFormat(mode.pixel_format)],
+            "unit_m": openni.UNITS_M[openni.PixelFormat(mode.pixel_format)],
             "field_of_view_rad": field_of_view,
             "name": " ".join(f"{info.vendor} {info.name}".split()),
             "serial": self._device.serial(),
@@ -88,13 +78,13 @@ class OpenniCamera:
         for stream in self._streams():
             stream.start()
 
-    def next(self, timeout_s: float) -> Frame | None:
+    def next(self, timeout_s: float) -> openni.Frame | None:
         """The next frame of any stream, None when none came in time. Raises LinkLost, and EOFError at the end."""
         stream = self._openni.wait(self._streams(), timeout_s)
         for event, number in self._openni.take_events():
             if event == "disconnected":
                 raise LinkLost("a camera that is there", "none (unplugged?)", "check the cable", self._settings.port)
-            self._ended = self._ended or number == END_OF_FILE
+            self._ended = self._ended or number == openni.END_OF_FILE
         if stream is not None:
             return stream.read()
         if self._ended:
@@ -111,23 +101,25 @@ class OpenniCamera:
     def _registers(self) -> bool:
         return self._settings.registered and not self._device.is_recording
 
-    def _streams(self) -> list[OpenniStream]:
+    def _streams(self) -> list[openni.OpenniStream]:
         return [self.depth] if self.color is None else [self.depth, self.color]
 
-    def _set_mode(self, stream: OpenniStream) -> None:
+    def _set_mode(self, stream: openni.OpenniStream) -> None:
         """Size, rate and unit, if requested."""
         now, settings = stream.mode(), self._settings
-        if stream.sensor is Sensor.COLOR:
-            pixel_format = int(PixelFormat.RGB888)
+        if stream.sensor is openni.Sensor.COLOR:
+            pixel_format = int(openni.PixelFormat.RGB888)
         elif settings.unit_m is None:
             pixel_format = now.pixel_format
         else:
-            pixel_format = next((int(form) for form, unit_m in UNITS_M.items() if unit_m == settings.unit_m), 0)
-        asked = Mode(settings.width or now.width, settings.height or now.height, settings.fps or now.fps, pixel_format)
+            pixel_format = next((int(form) for form, unit_m in openni.UNITS_M.items() if unit_m == settings.unit_m), 0)
+        asked = openni.Mode(
+            settings.width or now.width, settings.height or now.height, settings.fps or now.fps, pixel_format
+        )
         if asked != now and not self._device.is_recording:
             stream.set_mode(asked)
         came = stream.mode()
-        if came != asked or (stream.sensor is Sensor.DEPTH and came.pixel_format not in UNITS_M):
+        if came != asked or (stream.sensor is openni.Sensor.DEPTH and came.pixel_format not in openni.UNITS_M):
             kind = stream.sensor.name.lower()
             raise SettingsRefused(
                 f"{kind} {_to_text(asked)}", _to_text(came), "another size, rate or unit", settings.port
@@ -143,14 +135,14 @@ class Pairs:
     def __init__(self, fps: int, *, wanted: bool) -> None:
         self._half_us = 0.5e6 / max(fps, 1)
         self._wanted = wanted
-        self._colors: deque[Frame] = deque(maxlen=WAITING)
-        self._depths: deque[tuple[Frame, int]] = deque()
+        self._colors: deque[openni.Frame] = deque(maxlen=WAITING)
+        self._depths: deque[tuple[openni.Frame, int]] = deque()
 
-    def add(self, frame: Frame, host_ns: int) -> list[FrameMessage]:
+    def add(self, frame: openni.Frame, host_ns: int) -> list[FrameMessage]:
         """The pictures that are complete with this frame. host_ns: its arrival [ns]"""
         if not self._wanted:
             return [_message(frame, host_ns, None)]
-        if frame.pixel_format == PixelFormat.RGB888:
+        if frame.pixel_format == openni.PixelFormat.RGB888:
             self._colors.append(frame)
         else:
             self._depths.append((frame, host_ns))
@@ -172,15 +164,15 @@ class Pairs:
         depth, host_ns = self._depths.popleft()
         return _message(depth, host_ns, self._color_of(depth))
 
-    def _color_of(self, depth: Frame) -> Frame | None:
-        def apart_us(color: Frame) -> int:
+    def _color_of(self, depth: openni.Frame) -> openni.Frame | None:
+        def apart_us(color: openni.Frame) -> int:
             return abs(color.timestamp_us - depth.timestamp_us)
 
         nearest = min(self._colors, key=apart_us, default=None)
         return nearest if nearest is not None and apart_us(nearest) <= self._half_us else None
 
 
-def _message(depth: Frame, host_ns: int, color: Frame | None) -> FrameMessage:
+def _message(depth: openni.Frame, host_ns: int, color: openni.Frame | None) -> FrameMessage:
     """A frame that is cut off goes as one of no size: it is refused, and counted, where it is taken."""
     width, height, data = (depth.width, depth.height, depth.data) if depth.is_whole else (0, 0, b"")
     index = depth.index & INDEX_MASK
@@ -189,9 +181,11 @@ def _message(depth: Frame, host_ns: int, color: Frame | None) -> FrameMessage:
     return FrameMessage(host_ns, depth.timestamp_us, index, width, height, color.width, color.height, data, color.data)
 
 
-def _to_text(mode: Mode) -> str:
+def _to_text(mode: openni.Mode) -> str:
     form = (
-        PixelFormat(mode.pixel_format).name if mode.pixel_format in set(PixelFormat) else f"format {mode.pixel_format}"
+        openni.PixelFormat(mode.pixel_format).name
+        if mode.pixel_format in set(openni.PixelFormat)
+        else f"format {mode.pixel_format}"
     )
     return f"{mode.width}x{mode.height} at {mode.fps} Hz in {form}"
 
@@ -225,4 +219,4 @@ def serve(channel: Channel, settings: OpenniSettings) -> None:
 def report_cameras(channel: Channel) -> None:
     """Report the cameras that OpenNI2 sees. Raises LibraryMissing."""
     exit_without_cleanup()  # the library's own crashes
-    channel.send("opened", Openni().devices())
+    channel.send("opened", openni.Openni().devices())
