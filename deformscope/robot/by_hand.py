@@ -12,10 +12,19 @@ from typing import Protocol
 
 import numpy as np
 
-from deformscope.robot import touch
 from deformscope.robot.latch import Action
 from deformscope.robot.readings import RobotObservation
 from deformscope.robot.robot import Robot, RobotStopped
+from deformscope.robot.touch import (
+    STILL_FORCE,
+    Phase,
+    PhaseSpan,
+    TouchEnding,
+    TouchPlan,
+    TouchRecord,
+    TouchRun,
+    carried_out,
+)
 from deformscope_drivers.arm.kinematics import FloatArray
 from deformscope_drivers.manual_arm import ManualArm
 
@@ -57,13 +66,13 @@ class Person(Protocol):
 
 def touch_by_hand(
     robot: Robot,
-    plan: touch.TouchPlan,
+    plan: TouchPlan,
     person: Person,
     still_seen: Callable[[], bool] = lambda: True,
-    on_phase: Callable[[touch.Phase, int], None] = lambda phase, time_ns: None,
-) -> touch.TouchRecord:
+    on_phase: Callable[[Phase, int], None] = lambda phase, time_ns: None,
+) -> TouchRecord:
     """A touch by an arm that a person places (`ManualArm`); arguments and result as in `touch.run_touch`."""
-    return touch.carried_out(PlacedRun(robot, plan, on_phase, person), robot, still_seen)
+    return carried_out(PlacedRun(robot, plan, on_phase, person), robot, still_seen)
 
 
 class _Steps:
@@ -71,25 +80,23 @@ class _Steps:
 
     def __init__(self, start_s: float) -> None:
         self.contact_m: FloatArray | None = None
-        self.settled, self.ending = False, touch.TouchEnding.NO_CONTACT
-        self.spans: list[touch.PhaseSpan] = []
-        self.phase, self._since_s = touch.Phase.APPROACH, start_s
+        self.settled, self.ending = False, TouchEnding.NO_CONTACT
+        self.spans: list[PhaseSpan] = []
+        self.phase, self._since_s = Phase.APPROACH, start_s
 
-    def enter(self, phase: touch.Phase, time_s: float) -> None:
+    def enter(self, phase: Phase, time_s: float) -> None:
         if phase is not self.phase:
-            self.spans.append(touch.PhaseSpan(self.phase, self._since_s, time_s))
+            self.spans.append(PhaseSpan(self.phase, self._since_s, time_s))
             self.phase, self._since_s = phase, time_s
 
     def end(self, time_s: float) -> None:
-        self.enter(touch.Phase.DONE, time_s)
+        self.enter(Phase.DONE, time_s)
 
 
-class PlacedRun(touch.TouchRun):
+class PlacedRun(TouchRun):
     """A touch in steps, for each of which a person places the stick."""
 
-    def __init__(
-        self, robot: Robot, plan: touch.TouchPlan, on_phase: Callable[[touch.Phase, int], None], person: Person
-    ) -> None:
+    def __init__(self, robot: Robot, plan: TouchPlan, on_phase: Callable[[Phase, int], None], person: Person) -> None:
         super().__init__(robot, plan, on_phase)
         self._person = person
         self._center_m: FloatArray = np.zeros(3)
@@ -98,15 +105,15 @@ class PlacedRun(touch.TouchRun):
         """The person lifts the stick, and takes it above the place."""
         self._robot.cycle()
         began = self._now_s()
-        self._tell(touch.Phase.TRAVEL)
+        self._tell(Phase.TRAVEL)
         self._place(self._plan.places_m(self._robot.placement.center_offset_m)[1], "lift the tip, and place it")
-        self._spans.append(touch.PhaseSpan(touch.Phase.TRAVEL, began, self._now_s()))
+        self._spans.append(PhaseSpan(Phase.TRAVEL, began, self._now_s()))
 
     def touch(self, still_seen: Callable[[], bool]) -> None:
         """Lower the tip in steps to the set force or the greatest depth, dwell in view of the camera, and lift it."""
         plan, robot = self._plan, self._robot
         self._machine = steps = _Steps(self._now_s())
-        self._tell(touch.Phase.APPROACH)
+        self._tell(Phase.APPROACH)
         touching_m = plan.point_m + robot.placement.center_offset_m * plan.normal
         down_m, before_m, before_n, set_n = -BEGIN_M, -BEGIN_M, 0.0, plan.set_force_n
         while True:
@@ -115,12 +122,12 @@ class PlacedRun(touch.TouchRun):
             along_n = self._held(HOLD_PERIODS)
             if steps.contact_m is None and along_n > plan.contact_force_n:
                 steps.contact_m = self._center_m
-                self._enter(steps, touch.Phase.PRESS)
+                self._enter(steps, Phase.PRESS)
             depth_m = 0.0 if steps.contact_m is None else float((steps.contact_m - self._center_m) @ plan.normal)
-            reached = along_n >= set_n * (1.0 - touch.STILL_FORCE)
+            reached = along_n >= set_n * (1.0 - STILL_FORCE)
             if reached and plan.more_force_n is not None and set_n < plan.more_force_n and depth_m < plan.small_dent_m:
                 set_n, reached = plan.more_force_n, False
-                self._enter(steps, touch.Phase.PRESS_MORE)
+                self._enter(steps, Phase.PRESS_MORE)
             if reached or depth_m >= plan.max_depth_m or down_m >= plan.miss_m + plan.max_depth_m:
                 break
             if steps.contact_m is None and down_m >= plan.miss_m:
@@ -129,14 +136,14 @@ class PlacedRun(touch.TouchRun):
             before_m, before_n = down_m, along_n
             down_m = min(down_m + step_m, plan.miss_m + plan.max_depth_m)
         if steps.contact_m is not None:
-            steps.ending = touch.TouchEnding.SET_FORCE if reached else touch.TouchEnding.DEPTH
+            steps.ending = TouchEnding.SET_FORCE if reached else TouchEnding.DEPTH
             self._depth_m, self._loading_s = depth_m, self._now_s()
-            self._enter(steps, touch.Phase.DWELL if steps.phase is touch.Phase.PRESS else touch.Phase.DWELL_MORE)
+            self._enter(steps, Phase.DWELL if steps.phase is Phase.PRESS else Phase.DWELL_MORE)
             self._robot.camera_needed = True
             self._held(round(100 * self._plan.dwell_s), still_seen)
             self._robot.camera_needed = False
             self._end_s, steps.settled = self._now_s(), True
-        self._enter(steps, touch.Phase.RETREAT)
+        self._enter(steps, Phase.RETREAT)
         self._place(plan.places_m(robot.placement.center_offset_m)[1], "lift the tip")
         steps.end(self._now_s())
         self._ending = steps.ending
@@ -153,7 +160,7 @@ class PlacedRun(touch.TouchRun):
         wanted_m = min(set_n / STEPS, max(set_n - along_n, 0.0) + 0.02 * set_n) / stiffness_n_m
         return float(np.clip(np.round(wanted_m / finest_m), 1, max(1, round(FREE_STEP_M / finest_m))) * finest_m)
 
-    def _enter(self, steps: _Steps, phase: touch.Phase) -> None:
+    def _enter(self, steps: _Steps, phase: Phase) -> None:
         steps.enter(phase, self._now_s())
         self._tell(phase)
 

@@ -13,6 +13,7 @@ from typing import Any, Self, TypeVar
 
 import numpy as np
 
+from deformscope_drivers import errors
 from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.device import RECONNECT, Reconnect, StreamDevice
 from deformscope_drivers.dsa import messages
@@ -20,15 +21,6 @@ from deformscope_drivers.dsa.config import DsaConfig
 from deformscope_drivers.dsa.measurer import TactileMeasurer, TactileReading, TimestampStatus
 from deformscope_drivers.dsa.pads import FloatArray, Pad, PadContact, pad_contact, to_pressure
 from deformscope_drivers.dsa.protocol import Decoder, encode, single, stop, stream
-from deformscope_drivers.errors import (
-    CommandRefused,
-    DeviceError,
-    LinkLost,
-    NoReply,
-    NotConnected,
-    ProtocolViolation,
-    SettingsRefused,
-)
 from deformscope_drivers.health import Identity
 from deformscope_drivers.transport import SerialTransport, Transport
 
@@ -131,12 +123,12 @@ class Dsa(StreamDevice[TactileReading]):
 
         def take() -> TactileReading:
             if self.config.streaming:
-                raise DeviceError("a device that does not stream", "one that does", "next()", self.name)
+                raise errors.DeviceError("a device that does not stream", "one that does", "next()", self.name)
             self._begin_stream()
             packet = encode(single(rle=self.config.rle))
             try:
                 found: messages.Reading | messages.Ack = self._ask(packet, accept, REPLY_TIMEOUT_S, what="a frame")
-            except NoReply:
+            except errors.NoReply:
                 self._stop()
                 raise
             if isinstance(found, messages.Ack):
@@ -180,11 +172,11 @@ class Dsa(StreamDevice[TactileReading]):
             sizes = np.array([matrix.texel_width_mm, matrix.texel_height_mm])
             if not matrix.cells or not np.isfinite(sizes).all() or (sizes <= 0).any():
                 came = f"{matrix.cells_x} x {matrix.cells_y} of {sizes[0]:g} x {sizes[1]:g} mm"
-                raise ProtocolViolation(f"texels and their size for matrix {index}", came, where=self.name)
+                raise errors.ProtocolViolation(f"texels and their size for matrix {index}", came, where=self.name)
             matrices.append(matrix)
         cells = sum(matrix.cells for matrix in matrices)
         if not 0 < cells <= CELLS_MAX:
-            raise ProtocolViolation(f"matrices of 1 to {CELLS_MAX} texels in all", f"{cells}", where=self.name)
+            raise errors.ProtocolViolation(f"matrices of 1 to {CELLS_MAX} texels in all", f"{cells}", where=self.name)
         self.matrices = tuple(matrices)
         self._measurer.describe([(matrix.cells_y, matrix.cells_x) for matrix in matrices])
         for number, sensitivity in self._by_matrix("sensitivity", self.config.sensitivity):
@@ -200,7 +192,7 @@ class Dsa(StreamDevice[TactileReading]):
             self._measured_ns = self._clock()
 
     def _stop(self) -> None:
-        with contextlib.suppress(DeviceError):
+        with contextlib.suppress(errors.DeviceError):
             self._send(encode(stop()))
 
     def _measure(self, event: messages.Reading | messages.Reply, host_ns: int) -> Iterable[TactileReading]:
@@ -217,7 +209,7 @@ class Dsa(StreamDevice[TactileReading]):
         readings = list(super()._receive(timeout_s))
         if self._silence_ns is not None and self._clock() - self._measured_ns > self._silence_ns:
             expected, came = "frames from the controller", f"none without errors for {self.config.silence_s:g} s"
-            raise LinkLost(expected, came, "check cable and baud rate", self.name)
+            raise errors.LinkLost(expected, came, "check cable and baud rate", self.name)
         return readings
 
     def _fingerprint(self, reading: TactileReading) -> Hashable:
@@ -235,7 +227,7 @@ class Dsa(StreamDevice[TactileReading]):
             return [] if value is None else [(None, value)]
         if len(value) != len(self.matrices):
             expected = f"a {name} for each of {len(self.matrices)} matrices"
-            raise SettingsRefused(expected, f"{len(value)}", "one number for all", self.name)
+            raise errors.SettingsRefused(expected, f"{len(value)}", "one number for all", self.name)
         return list(enumerate(value))
 
     def _set_sensitivity(self, matrix: int | None, wanted: float) -> None:
@@ -248,20 +240,22 @@ class Dsa(StreamDevice[TactileReading]):
             reported = self._query(messages.QuerySensitivity(index), messages.SensitivityInfo, "query of sensitivity")
             if not abs(reported.current - wanted) <= SENSITIVITY_TOLERANCE:
                 expected = f"sensitivity {wanted:g} of matrix {index}"
-                raise SettingsRefused(expected, f"{reported.current:g}", where=self.name)
+                raise errors.SettingsRefused(expected, f"{reported.current:g}", where=self.name)
 
     def _set_threshold(self, matrix: int | None, wanted: int) -> None:
         """Set it, and read it back."""
         version = self.controller.software_version
         if version < THRESHOLD_FROM:
             advice = "no threshold in the configuration"
-            raise SettingsRefused(f"firmware {THRESHOLD_FROM} for thresholds", f"{version}", advice, self.name)
+            raise errors.SettingsRefused(f"firmware {THRESHOLD_FROM} for thresholds", f"{version}", advice, self.name)
         flags = messages.Adjust.ALL if matrix is None else 0
         self._acknowledged(messages.SetThreshold(flags, matrix or 0, wanted), "set threshold")
         for index in range(len(self.matrices)) if matrix is None else (matrix,):
             reported = self._query(messages.QueryThreshold(index), messages.ThresholdInfo, "query of threshold")
             if reported.threshold != wanted:
-                raise SettingsRefused(f"threshold {wanted} of matrix {index}", f"{reported.threshold}", where=self.name)
+                raise errors.SettingsRefused(
+                    f"threshold {wanted} of matrix {index}", f"{reported.threshold}", where=self.name
+                )
 
     def _acknowledged(
         self, command: messages.Command, doing: str, timeout_s: float = REPLY_TIMEOUT_S, tries: int = REPLY_TRIES
@@ -287,7 +281,7 @@ class Dsa(StreamDevice[TactileReading]):
         for tries_left in reversed(range(tries)):
             try:
                 reply: messages.Reply = self._ask(packet, accept, timeout_s, what=f"an answer to {doing}")
-            except NoReply:
+            except errors.NoReply:
                 if not tries_left or self._closing.is_set():
                     raise
                 self._settle(SETTLE_S)
@@ -299,10 +293,10 @@ class Dsa(StreamDevice[TactileReading]):
                 break
         raise self._refusal(error, doing)
 
-    def _refusal(self, code: int, doing: str) -> DeviceError:
+    def _refusal(self, code: int, doing: str) -> errors.DeviceError:
         if code == messages.SUCCESS:
-            return ProtocolViolation(f"what {doing} asks for", "another answer", where=self.name)
-        return CommandRefused(code, messages.error_name(code), doing, where=self.name)
+            return errors.ProtocolViolation(f"what {doing} asks for", "another answer", where=self.name)
+        return errors.CommandRefused(code, messages.error_name(code), doing, where=self.name)
 
     def _settle(self, wait_s: float) -> None:
         """Let answers that are still in transit come, and discard them; readings are published."""
@@ -324,7 +318,7 @@ class Dsa(StreamDevice[TactileReading]):
 
     def _known(self, reported: T | None) -> T:
         if reported is None:
-            raise NotConnected("a device that was opened", "one that was not", "open() it", self.name)
+            raise errors.NotConnected("a device that was opened", "one that was not", "open() it", self.name)
         return reported
 
 

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from deformscope_drivers import errors
 from deformscope_drivers.arm import kinematics
 from deformscope_drivers.arm.commands import by_joints
 from deformscope_drivers.arm.device import Arm
@@ -22,14 +23,6 @@ from deformscope_drivers.arm.hosted import HostedArm
 from deformscope_drivers.arm.state import ArmState
 from deformscope_drivers.clock import Clock, Stamp, monotonic_ns
 from deformscope_drivers.device import RECONNECT, ROUND_S, Reconnect
-from deformscope_drivers.errors import (
-    DeviceError,
-    LinkLost,
-    NotConnected,
-    NotStopped,
-    ProtocolViolation,
-    SettingsRefused,
-)
 from deformscope_drivers.health import Identity, Link
 from deformscope_drivers.kuka.config import CHAINS, KukaConfig
 from deformscope_drivers.kuka.messages import AXES, RobMessage, SenMessage, decode_rob, encode_sen
@@ -124,7 +117,7 @@ class Kuka(Arm[ArmState]):
         finally:
             self._resting = False
         came = f"{REST_ANSWERS}, of which the last came too late"
-        raise NotStopped(f"{zeros} answers of zeros in time", came, self.stop_by_hand, self.name)
+        raise errors.NotStopped(f"{zeros} answers of zeros in time", came, self.stop_by_hand, self.name)
 
     def _forget(self, stopped_because: str = "") -> None:
         with self._commanded:
@@ -168,7 +161,7 @@ class Kuka(Arm[ArmState]):
                 if corrections_deg is not None:
                     self._answer(message.ipoc, corrections_deg)
                 return message
-        raise NotConnected("a controller that sends", f"none in {within_s:g} s", START, self.name)
+        raise errors.NotConnected("a controller that sends", f"none in {within_s:g} s", START, self.name)
 
     def _note(self, message: RobMessage) -> None:
         """Take note of a message's number, and whether the last answer is said to have come too late."""
@@ -182,7 +175,7 @@ class Kuka(Arm[ArmState]):
         for _ in range(PROBES):
             moved_deg = self._probe_deg()
             if np.any(moved_deg > 1.5 * PROBE_DEG):
-                raise SettingsRefused(
+                raise errors.SettingsRefused(
                     f"axes that move by {PROBE_DEG:g} deg for one answer, and rest while answers are missing",
                     f"{_by_axis(moved_deg)} after one answer and {PROBE_LEFT_OUT} that were left out: the "
                     "last correction is repeated, and the arm would move on after a failure of this program "
@@ -193,7 +186,7 @@ class Kuka(Arm[ArmState]):
             if np.all(moved_deg > 0.5 * PROBE_DEG):
                 return
             self._settled_deg()
-        raise SettingsRefused(
+        raise errors.SettingsRefused(
             f"axes that are {PROBE_DEG:g} deg further after one answer with that correction",
             f"{_by_axis(moved_deg)} in {PROBES} tries",
             f"RSI_ON(#RELATIVE) in place of #ABSOLUTE; AK.A1 to AK.A6 wired to AXISCORR; Precision 4 of the ETHERNET "
@@ -226,7 +219,7 @@ class Kuka(Arm[ArmState]):
         """That the controller runs at the cycle that corrections are made for, and is the arm of this model."""
         cycle_ms = round(1e3 * self.config.cycle_s)
         if step_ms != cycle_ms:
-            raise SettingsRefused(f"cycles of {cycle_ms} ms", f"of {step_ms} ms", "cycle_s", self.name)
+            raise errors.SettingsRefused(f"cycles of {cycle_ms} ms", f"of {step_ms} ms", "cycle_s", self.name)
         if message.pose is None or not self.config.check_pose:
             return
         yaw, pitch, roll = np.radians(message.pose[3:])
@@ -234,7 +227,7 @@ class Kuka(Arm[ArmState]):
         error = kinematics.pose_error(self._chain.end_effector(message.joints_deg), theirs)
         off_mm, off_deg = 1e3 * np.linalg.norm(error[:3]), np.degrees(np.linalg.norm(error[3:]))
         if not (off_mm <= POSE_MM and off_deg <= POSE_DEG):
-            raise SettingsRefused(
+            raise errors.SettingsRefused(
                 f"the flange within {POSE_MM:g} mm and {POSE_DEG:g} deg of the pose of a {self._chain.name}",
                 f"one that the controller reports {off_mm:.1f} mm and {off_deg:.1f} deg away",
                 "another `model`; or $TOOL = $NULLFRAME and $BASE = $NULLFRAME before RSI_ON: the tool belongs into "
@@ -250,7 +243,7 @@ class Kuka(Arm[ArmState]):
         try:
             if self._ipoc:
                 self._rest(ZEROS_AT_CLOSE)
-        except DeviceError as error:
+        except errors.DeviceError as error:
             self._not_stopped = error if moving else self._not_stopped
         finally:
             self._ipoc = 0
@@ -264,12 +257,12 @@ class Kuka(Arm[ArmState]):
         now_ns = self._clock()
         if not data:
             if now_ns - self._heard_ns > SILENCE_S * 1e9:
-                raise LinkLost("datagrams from the controller", f"none for {SILENCE_S:g} s", START, self.name)
+                raise errors.LinkLost("datagrams from the controller", f"none for {SILENCE_S:g} s", START, self.name)
             return ()
         self._record_raw(data, now_ns)
         try:
             message = decode_rob(data)
-        except ProtocolViolation as error:
+        except errors.ProtocolViolation as error:
             self._count_refused(str(error).split(" | ")[0][:60])
             return ()
         lost = round((message.ipoc - self._ipoc) / (1e3 * self.config.cycle_s)) - 1

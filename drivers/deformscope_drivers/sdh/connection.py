@@ -5,16 +5,9 @@ from __future__ import annotations
 from collections.abc import Hashable, Iterable
 from typing import TypeVar
 
+from deformscope_drivers import errors
 from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.device import ROUND_S, StreamDevice
-from deformscope_drivers.errors import (
-    CommandRefused,
-    LinkLost,
-    NoReply,
-    NotConnected,
-    ProtocolViolation,
-    SettingsRefused,
-)
 from deformscope_drivers.framing import NOISE, Skipped
 from deformscope_drivers.health import Identity
 from deformscope_drivers.sdh import codes, protocol
@@ -52,7 +45,7 @@ class SdhConnection(StreamDevice[HandReading]):
     def about(self) -> HandIdentity:
         """The hand's identity when it was opened."""
         if self._about is None:
-            raise NotConnected("a hand that was opened", "one that was not", "open() it", self.name)
+            raise errors.NotConnected("a hand that was opened", "one that was not", "open() it", self.name)
         return self._about
 
     def identity(self) -> Identity:
@@ -88,11 +81,13 @@ class SdhConnection(StreamDevice[HandReading]):
         firmware = self._text("ver", VERSION_TIMEOUT_S)
         self._release = codes.release(firmware)
         if not self._release:
-            raise ProtocolViolation("a firmware release such as 0.0.2.10", repr(firmware), "a newer cable", self.name)
+            raise errors.ProtocolViolation(
+                "a firmware release such as 0.0.2.10", repr(firmware), "a newer cable", self.name
+            )
         binary = self._release >= codes.BINARY_SINCE and self.config.protocol != "ascii"
         if self.config.protocol == "binary" and not binary:
             advice = 'protocol = "ascii"'
-            raise SettingsRefused("firmware 0.0.2.15 or later for binary", firmware, advice, self.name)
+            raise errors.SettingsRefused("firmware 0.0.2.15 or later for binary", firmware, advice, self.name)
         speeds: ByAxis = codes.VELOCITY_MAX_OLD_DEG_S
         accelerations = Limits().acceleration_max_deg_s2
         if self._release >= codes.VELOCITY_LIMITS_SINCE:
@@ -113,8 +108,8 @@ class SdhConnection(StreamDevice[HandReading]):
     def _receive(self, timeout_s: float) -> Iterable[HandReading]:
         try:
             return self._round(timeout_s)
-        except NoReply as error:
-            raise LinkLost("answers from the hand", "none", "check its supply and cable", self.name) from error
+        except errors.NoReply as error:
+            raise errors.LinkLost("answers from the hand", "none", "check its supply and cable", self.name) from error
 
     def _round(self, timeout_s: float) -> Iterable[HandReading]:
         """Wait for the time of the next reading, and take it. An answer that makes no reading is counted as refused."""
@@ -130,9 +125,9 @@ class SdhConnection(StreamDevice[HandReading]):
         try:
             reading = self._poll()
             return [] if reading is None else [reading]
-        except CommandRefused as error:
+        except errors.CommandRefused as error:
             self._count_refused(f"error {error.code} ({error.name})")
-        except ProtocolViolation:
+        except errors.ProtocolViolation:
             self._count_refused("state")
         return []
 
@@ -163,7 +158,7 @@ class SdhConnection(StreamDevice[HandReading]):
     def _text_if_known(self, name: str) -> str:
         try:
             return self._text(name)
-        except CommandRefused:
+        except errors.CommandRefused:
             return ""
 
     def _values(self, name: str, *values: float, timeout_s: float | None = None, tries: int = TRIES) -> ByAxis:
@@ -199,11 +194,13 @@ class SdhConnection(StreamDevice[HandReading]):
                 break
         doing = command.name + (f"={','.join(f'{value:g}' for value in command.values)}" if command.values else "")
         if refusal is not None:
-            raise CommandRefused(
+            raise errors.CommandRefused(
                 refusal.code, codes.error_name(refusal.code), doing, codes.error_advice(refusal.code), self.name
             )
         waited = f"{tries} x {timeout_s:g} s" if tries > 1 else f"{timeout_s:g} s"
-        raise NoReply(f"an answer to {doing} within {waited}", "none", "check supply, cable and baud rate", self.name)
+        raise errors.NoReply(
+            f"an answer to {doing} within {waited}", "none", "check supply, cable and baud rate", self.name
+        )
 
     def _answer(
         self, command: protocol.Command, kind: type[ReplyT], timeout_s: float

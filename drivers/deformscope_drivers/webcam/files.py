@@ -83,14 +83,9 @@ class Playback(Device[ColorImage]):
         self._pictures: Iterator[TimedPicture] = iter(())
         self._ahead: Picture | EllipsisType | None = ...
         self._media_s = self._file_s = 0.0
-        self._fps = fps or DEFAULT_FPS
+        self.fps = fps or DEFAULT_FPS  # pictures a second, a mean where that varies; known once it is open
         self._shown = self._shown_this_round = 0
         self._started_ns = 0
-
-    @property
-    def fps(self) -> float:
-        """Pictures a second, a mean where that varies; known once it is open."""
-        return self._fps
 
     @abstractmethod
     def _open_file(self) -> tuple[Iterator[TimedPicture], float | None]:
@@ -100,12 +95,12 @@ class Playback(Device[ColorImage]):
         if not self.path.exists():
             raise NotConnected("a file that is there", "none", where=self.path)
         self._pictures, own_fps = self._open_file()
-        self._fps = self._asked_fps or own_fps or DEFAULT_FPS
+        self.fps = self._asked_fps or own_fps or DEFAULT_FPS
         self._shown = self._shown_this_round = 0
         self._media_s, self._ahead = 0.0, ...
         self._started_ns = self._clock()
         self._clock_fit = ClockFit(1000.0) if self._real_time else None
-        self._expect(self._fps if self._real_time else None)
+        self._expect(self.fps if self._real_time else None)
 
     def _receive(self, timeout_s: float) -> Iterable[ColorImage]:
         if not self._real_time and not self._wanted():
@@ -129,7 +124,7 @@ class Playback(Device[ColorImage]):
         for picture, time_s in self._pictures:
             step_s = time_s - self._file_s
             if self._asked_fps or not self._shown_this_round or not step_s > 0.0:
-                step_s = 1.0 / self._fps if self._shown else 0.0
+                step_s = 1.0 / self.fps if self._shown else 0.0
             self._media_s += step_s
             self._file_s = self._file_s + step_s if math.isnan(time_s) else time_s
             self._shown += 1
