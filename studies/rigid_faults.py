@@ -159,7 +159,7 @@ def _unavoidable_n(case: tuple[str, SensorFault, float, Phase | None], robot: Ro
     a gain that falls before or with the contact, which looks like a softer thing."""
     kind, fault, _, when = case
     if kind == "kuka" and (fault is SensorFault.DIES or (fault, when) == (SensorFault.DEAD, Phase.APPROACH)):
-        return ForceAlone.of(robot).unfelt_n
+        return ForceAlone.of(robot).undetected_n
     if fault is SensorFault.SCALE and when in (Phase.APPROACH, Phase.PRESS):
         return (1.0 + STILL_FORCE) * plan.set_force_n / GAIN
     return 0.0

@@ -153,10 +153,10 @@ def open_command(path: Path) -> str:
     by its path in this Python's folder, unless its name is on the PATH."""
     if path.is_dir():
         path /= "index.html"
-    beside = Path(sys.executable).with_name("rerun")
-    viewer = str(beside) if shutil.which("rerun") is None and beside.exists() else "rerun"
-    if viewer != "rerun" and beside.is_relative_to(Path.cwd()):
-        viewer = str(beside.relative_to(Path.cwd()))
+    bundled = Path(sys.executable).with_name("rerun")
+    viewer = str(bundled) if shutil.which("rerun") is None and bundled.exists() else "rerun"
+    if viewer != "rerun" and bundled.is_relative_to(Path.cwd()):
+        viewer = str(bundled.relative_to(Path.cwd()))
     browser = "python -m webbrowser"
     known = {".rrd": f"{viewer} --bind 127.0.0.1", ".html": browser, ".png": browser, ".json": "python -m json.tool"}
     return f"{known[path.suffix]} {shlex.quote(str(path))}" if path.suffix in known and path.is_file() else ""
@@ -194,15 +194,15 @@ def json_alone(target: str | None) -> Iterator[None]:
             yield
         return
     python_stdout.flush()
-    kept = os.dup(descriptor)
-    with os.fdopen(kept, "w", encoding="utf-8") as stream:
+    copy = os.dup(descriptor)
+    with os.fdopen(copy, "w", encoding="utf-8") as stream:
         os.dup2(sys.__stderr__.fileno() if sys.__stderr__ is not None else 2, descriptor)
         try:
             with _redirected(stream):
                 yield
         finally:
             python_stdout.flush()
-            os.dup2(kept, descriptor)
+            os.dup2(copy, descriptor)
 
 
 @contextmanager

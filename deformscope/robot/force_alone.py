@@ -84,21 +84,21 @@ class ForceAlone:
         return self.stiffness_n_m * self.late_s * self.speed_m_s(SURPRISE_SHARE)
 
     @property
-    def unfelt_n(self) -> float:
+    def undetected_n(self) -> float:
         """The greatest force [N] if the sensor fails on the way down, and no motor current shows the contact."""
         return self.stiffness_n_m * (self.doubt_m + MISS_M) + self.contact_n
 
     def deeper_n(self, max_depth_m: float) -> float:
         """The greatest force [N] if the sensor's gain falls before contact, which looks like a softer thing: at the
         greatest depth [m] below a contact that is noticed as late as it can be."""
-        return self.unfelt_n + self.stiffness_n_m * max_depth_m
+        return self.undetected_n + self.stiffness_n_m * max_depth_m
 
     def words(self, max_depth_m: float) -> str:
         """Text with the forces, and the stiffness and delay from which they follow."""
         else_n = ", unless its motors' currents show it" if self.currents else ""
         return (
             f"{self.contact_n:.1f} N, by {self.stiffness_n_m / 1e3:.3g} N/mm and {1e3 * self.late_s:.0f} "
-            f"ms until the arm rests; {self.unfelt_n:.0f} N if the sensor fails on the way down{else_n}; at most "
+            f"ms until the arm rests; {self.undetected_n:.0f} N if the sensor fails on the way down{else_n}; at most "
             f"{self.deeper_n(max_depth_m):.0f} N if it then measures only a small part"
         )
 
@@ -119,13 +119,13 @@ class PressWatch:
         self._free_m = self._stiffness_n_m = self._rest_n = 0.0
         self._fell = self._pressed = 0
 
-    def look(self, down_m: float, force_n: float, *, met: bool) -> str:
+    def look(self, down_m: float, force_n: float, *, in_contact: bool) -> str:
         """Why the sensor must be wrong; empty where it need not be. down_m: place of the tip along the normal,
-        downwards [m]; force_n: measured force along the normal [N]; met: after contact"""
+        downwards [m]; force_n: measured force along the normal [N]; in_contact: after contact"""
         alone = self._alone
         self._recent.append((force_n, down_m))
         mean_n = sum(one_n for one_n, _ in [*self._recent][-GONE_PERIODS:]) / GONE_PERIODS
-        if not met:
+        if not in_contact:
             self._free_m = down_m if force_n - self._rest_n < 0.25 * self._contact_n else self._free_m
             self._rest_n += (force_n - self._rest_n) / REST_PERIODS
             self._fell = self._fell + 1 if force_n < -2.0 * self._contact_n else 0

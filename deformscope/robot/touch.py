@@ -557,7 +557,7 @@ class TouchRun:
             # where the force cannot be right, if nothing else guards the arm
             if self._watch is not None and (machine.pressing or machine.phase is Phase.APPROACH):
                 down_m = -float(self._robot.center_m @ machine.plan.normal)
-                if why := self._watch.look(down_m, float(force_n @ machine.plan.normal), met=machine.pressing):
+                if why := self._watch.look(down_m, float(force_n @ machine.plan.normal), in_contact=machine.pressing):
                     self._robot.stop_for(Fault.FORCE_ASTRAY, why)
         robot.camera_needed = False
         robot.cycle()
@@ -597,15 +597,15 @@ class TouchRun:
         stamps = np.array([sample.time_ns for sample, _ in self._forces], dtype=np.int64)
         measured_n = np.concatenate([np.zeros(0), *self._forces_n]).reshape(-1, 3)
         forces_n = forces_at([sample.time_ns for sample in self._arms], stamps, measured_n)
-        kept = times_s <= self._end_s
-        met = math.isfinite(self._loading_s) and math.isfinite(self._end_s)
-        dwelt = kept & (times_s > self._end_s - STILL_S) & met
+        within = times_s <= self._end_s
+        pressed = math.isfinite(self._loading_s) and math.isfinite(self._end_s)
+        dwelt = within & (times_s > self._end_s - STILL_S) & pressed
         return TouchRecord(
             plan=self._plan,
-            time_s=times_s[kept],
-            position_m=centers_m[kept],
-            force_n=forces_n[kept],
-            loading=int(np.count_nonzero(times_s[kept] <= self._loading_s)),
+            time_s=times_s[within],
+            position_m=centers_m[within],
+            force_n=forces_n[within],
+            loading=int(np.count_nonzero(times_s[within] <= self._loading_s)),
             contact_m=machine.contact_m if machine is not None else None,
             depth_m=self._depth_m,
             center_m=centers_m[dwelt].mean(axis=0) if dwelt.any() else None,
@@ -618,10 +618,10 @@ class TouchRun:
             reason=self._reason,
             fault=self._fault,
             settled=machine.settled if machine is not None else False,
-            arms=tuple(sample for sample, among in zip(self._arms, kept, strict=True) if among),
+            arms=tuple(sample for sample, among in zip(self._arms, within, strict=True) if among),
             forces=tuple(self._forces),
             poses=tuple(self._poses),
-            back=tuple(sample for sample, among in zip(self._arms, kept, strict=True) if not among),
+            back=tuple(sample for sample, among in zip(self._arms, within, strict=True) if not among),
         )
 
     def _now_s(self) -> float:

@@ -202,7 +202,7 @@ def pressed(
         if machine.phase in (Phase.RETREAT, Phase.DONE):
             break
         if machine.pressing or machine.phase is Phase.APPROACH:
-            why = watch.look(down_m, felt_n, met=machine.pressing)
+            why = watch.look(down_m, felt_n, in_contact=machine.pressing)
         if why:
             most_n = max(most_n, true_n - 0.01 * sum(late) * stiffness_n_m)
             break

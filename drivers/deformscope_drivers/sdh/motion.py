@@ -114,19 +114,19 @@ class Axis:
         """Move there, as far as obstacles and the range allow; the obstacles."""
         low = max(self.low_deg, self.obstacle_low_deg)
         high = min(self.high_deg, self.obstacle_high_deg)
-        met = None
+        blocked = None
         if wanted_deg > self.position_deg and wanted_deg > high:
             wanted_deg = max(self.position_deg, high)
-            met = (
+            blocked = (
                 codes.AxisState.CW_BLOCKED if self.obstacle_high_deg < self.high_deg else codes.AxisState.LIMITS_REACHED
             )
         elif wanted_deg < self.position_deg and wanted_deg < low:
             wanted_deg = min(self.position_deg, low)
-            met = (
+            blocked = (
                 codes.AxisState.CCW_BLOCKED if self.obstacle_low_deg > self.low_deg else codes.AxisState.LIMITS_REACHED
             )
         self.position_deg = wanted_deg
-        return met
+        return blocked
 
     def halt(self, state: codes.AxisState) -> None:
         self.mode, self.state = _Mode.HOLD, state
@@ -261,7 +261,7 @@ class Motion:
 
     def _step(self, axis: Axis) -> None:
         before = axis.position_deg
-        met: codes.AxisState | None = None
+        blocked: codes.AxisState | None = None
         ended = False
         match axis.mode:
             case _Mode.HOLD:
@@ -274,21 +274,23 @@ class Motion:
                 else:
                     share = _ramp_part(part, axis.ramp_part)
                 ended = part >= 1.0
-                met = axis.advance_to(axis.to_deg if ended else axis.from_deg + share * (axis.to_deg - axis.from_deg))
+                blocked = axis.advance_to(
+                    axis.to_deg if ended else axis.from_deg + share * (axis.to_deg - axis.from_deg)
+                )
                 axis.velocity_deg_s = (axis.position_deg - before) / _CYCLE_S
             case _Mode.PRESSING:
                 most = axis.target_velocity_deg_s * _CYCLE_S
                 left = axis.to_deg - axis.position_deg
                 ended = abs(left) <= most
-                met = axis.advance_to(axis.position_deg + max(-most, min(most, left)))
+                blocked = axis.advance_to(axis.position_deg + max(-most, min(most, left)))
                 axis.velocity_deg_s = (axis.position_deg - before) / _CYCLE_S
             case _Mode.SPEED:
-                met = self._step_speed(axis)
+                blocked = self._step_speed(axis)
             case _Mode.STOPPING:
                 ended = abs(axis.velocity_deg_s) <= axis.target_acceleration_deg_s2 * _CYCLE_S
-                met = self._coast(axis, ended)
-        if met is not None and axis.mode is not _Mode.SPEED:
-            axis.halt(met)
+                blocked = self._coast(axis, ended)
+        if blocked is not None and axis.mode is not _Mode.SPEED:
+            axis.halt(blocked)
         elif ended:
             axis.halt(codes.AxisState.IDLE)
 
@@ -319,15 +321,15 @@ class Motion:
         )
         before = axis.position_deg
         axis.reference_deg_s += change
-        met = axis.advance_to(axis.position_deg + mean * _CYCLE_S)
-        axis.velocity_deg_s = axis.reference_deg_s if met is None else (axis.position_deg - before) / _CYCLE_S
-        if met is not None:
-            axis.state, axis.reference_deg_s = met, 0.0
+        blocked = axis.advance_to(axis.position_deg + mean * _CYCLE_S)
+        axis.velocity_deg_s = axis.reference_deg_s if blocked is None else (axis.position_deg - before) / _CYCLE_S
+        if blocked is not None:
+            axis.state, axis.reference_deg_s = blocked, 0.0
         elif axis.reference_deg_s == 0.0 and target == 0.0:
             axis.halt(codes.AxisState.IDLE)
         else:
             axis.state = codes.AxisState.SPEED_MODE
-        return met
+        return blocked
 
     def _coast(self, axis: Axis, ends: bool) -> codes.AxisState | None:
         velocity, slower = axis.velocity_deg_s, axis.target_acceleration_deg_s2
