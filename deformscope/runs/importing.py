@@ -58,7 +58,15 @@ class Inspected:
             lines = {f"{name} [{one.quantities[name].unit or '?'}]": values for name, (_, values) in points.items()}
             times = next((times for times, _ in points.values()), np.zeros(0))
             lines = {name: values for name, values in lines.items() if len(values) == len(times)}
-            shown.append(Preview(one.to_text()[:100], "time [s]" if one.is_timed else "row", times, lines, one.image))
+            shown.append(
+                Preview(
+                    one.to_text().partition(";")[0][:100],
+                    "time [s]" if one.is_timed else "row",
+                    times,
+                    lines,
+                    one.image,
+                )
+            )
         return preview_png(shown)
 
 
