@@ -208,11 +208,11 @@ def _in_full(case: ForceCase, drawn: PokedSlab, factor: FloatArray, pressed: _Pr
         assert found.force is not None
         assert found.stiffness is not None
         assert found.layers is not None
-        met = model.stiffness_at(found.poke, found.layers.spacing, found.force_deviation)
-        assert met is not None
+        here = model.stiffness_at(found.poke, found.layers.spacing, found.force_deviation)
+        assert here is not None
         reaction = found.force / found.stiffness
-        low, high = (reaction * end for end in met.interval)
-        judged = _judged(drawn, int(i), poke.force * float(factor[i]), reaction * met.value, (low, high))
+        low, high = (reaction * end for end in here[1])
+        judged = _judged(drawn, int(i), poke.force * float(factor[i]), reaction * here[0], (low, high))
         pokes.append(dataclasses.replace(judged, same_tip=press.sides == TIP, surface_error=score.surface_error))
     return TriedSlab(case, model.between.kind, tuple(pokes))
 

@@ -35,10 +35,7 @@ def gaussian_between(one: FloatArray, other: FloatArray, length: float) -> Float
 @dataclass(frozen=True, slots=True)
 class Kernel:
     """The squared exponential kernel (Thesis eq. 4.5). sigma_e: deviation of the process [its unit]; sigma_w: width,
-    sqrt(2) times the length scale [m].
-
-    Raises InputError for values that are not above 0.
-    """
+    sqrt(2) times the length scale [m]. Raises InputError for values that are not above 0."""
 
     sigma_e: float
     sigma_w: float

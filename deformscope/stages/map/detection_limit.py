@@ -50,18 +50,18 @@ class UnseenInclusions:
             return
         places = np.array([touch.xy_m for touch in posterior.touches])
         own = [posterior.prior.rigid_sd if touch.rigid else touch.log_sd for touch in posterior.touches]
-        ratio = np.prod(self._unfelt(places, np.hypot(own, posterior.scatter)[:, None]), axis=0)
+        ratio = np.prod(self._unseen(places, np.hypot(own, posterior.scatter)[:, None]), axis=0)
         soft = 1.0 - posterior.rigid_probability(self._centres)
         ratio *= soft
-        unmet = float(ratio.sum() / max(soft.sum(), 1.0))  # less than one centre is no place
+        unseen = float(ratio.sum() / max(soft.sum(), 1.0))  # less than one centre is no place
         self.weight = ratio / max(float(ratio.sum()), 1e-300)  # so many touches may leave nothing at all
-        self.probability = INCLUSION_PRIOR * unmet / (INCLUSION_PRIOR * unmet + 1.0 - INCLUSION_PRIOR)
+        self.probability = INCLUSION_PRIOR * unseen / (INCLUSION_PRIOR * unseen + 1.0 - INCLUSION_PRIOR)
 
     def gain(self, places_m: FloatArray) -> FloatArray:
         """(p,) probability that a touch at places (p, 2) is the first to show an inclusion."""
-        return cast(FloatArray, self.probability * (1.0 - self._unfelt(places_m, self._noise_sd)) @ self.weight)
+        return cast(FloatArray, self.probability * (1.0 - self._unseen(places_m, self._noise_sd)) @ self.weight)
 
-    def _unfelt(self, places_m: FloatArray, sd: FloatArray | float) -> FloatArray:
+    def _unseen(self, places_m: FloatArray, sd: FloatArray | float) -> FloatArray:
         """(p, c) how likely touches at places (p, 2) are to read as without an inclusion at each centre, if it is
         there."""
         share = ndtr((self._radius_m - cdist(places_m, self._centres)) / self._blur_m)
@@ -72,19 +72,18 @@ def detection_limit(
     posterior: RegionPosterior, made_m: FloatArray, radii_m: Iterable[float] = INCLUSION_RADII_M
 ) -> DetectionLimit:
     """Computes the detection limit. made_m: (n, 2) places of all touches, including those without a result [m]"""
-    size, centres = np.asarray(posterior.grid.size_m), posterior.grid.centres_m
-    circle = np.minimum(centres, size - centres).min(axis=1)
-    if len(made_m):
-        circle = np.minimum(circle, KDTree(made_m).query(centres)[0])
-    at = int(circle.argmax())
     unseen = [(radius, UnseenInclusions(posterior, radius)) for radius in sorted(set(radii_m))]
     fitting = [(radius, one.probability) for radius, one in unseen if len(one.weight)]
     radii, probabilities = np.array(fitting).reshape(-1, 2).T
-    return DetectionLimit(
-        untouched_m=float(circle[at]),
-        untouched_at_m=centres[at],
-        lump_radius_m=radii,
-        lump_probability=probabilities,
-        contrast=INCLUSION_CONTRAST,
-        prior=INCLUSION_PRIOR,
-    )
+    circle = largest_circle(posterior.grid, made_m)
+    return DetectionLimit(*circle, radii, probabilities, contrast=INCLUSION_CONTRAST, prior=INCLUSION_PRIOR)
+
+
+def largest_circle(grid: MapGrid, made_m: FloatArray) -> tuple[float, FloatArray]:
+    """Radius [m] and centre (2,) [m] of the largest circle on the surface without a touch at places (n, 2) [m]."""
+    size, centres = np.asarray(grid.size_m), grid.centres_m
+    radius = np.minimum(centres, size - centres).min(axis=1)
+    if len(made_m):
+        radius = np.minimum(radius, KDTree(made_m).query(centres)[0])
+    at = int(radius.argmax())
+    return float(radius[at]), centres[at]

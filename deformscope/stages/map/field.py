@@ -62,9 +62,7 @@ class FieldPrior:
     length_m: float = 0.15
     length_spread: float = 0.6
     nugget: float = SCATTER_MEDIAN
-    nugget_spread: float = (
-        0.6  # wider than of regions' scatter: a field is of any thing, and its nugget ends at 3 of them
-    )
+    nugget_spread: float = 0.6  # wider than that of regions' scatter: a field may be of anything
     level_sd: float = 2.0
 
     def median(self) -> FloatArray:
@@ -102,7 +100,6 @@ class _State:
     """The process under one choice of hyper-parameters. factor: (n, n) Cholesky; weight: (n,) K^-1 (v - level)"""
 
     kernel: Kernel
-    nugget: float
     level_sd: float
     factor: FloatArray
     weight: FloatArray
@@ -222,16 +219,9 @@ class _Fit:
 
     def _state(self, x: FloatArray, share: float) -> _State:
         factor = cholesky(self._covariance(x)[2], lower=True)
-        sigma_e, length, nugget = (float(one) for one in np.exp(x))
-        kernel = Kernel.of_length(sigma_e, length)
-        return _State(
-            kernel=kernel,
-            nugget=nugget,
-            level_sd=self.prior.level_sd,
-            factor=factor,
-            weight=cho_solve((factor, True), self.left),
-            share=share,
-        )
+        sigma_e, length, _ = (float(one) for one in np.exp(x))
+        weight = cho_solve((factor, True), self.left)
+        return _State(Kernel.of_length(sigma_e, length), self.prior.level_sd, factor, weight, share)
 
     def _around(self, at: FloatArray, low: FloatArray, high: FloatArray, cost: Cost) -> list[tuple[FloatArray, float]]:
         """Hyper-parameters (3,) to average over and their shares: the mode, and points around it on a sphere of the

@@ -88,10 +88,7 @@ class HilbertBasis:
         gram = sums[less[0], less[1]] - sums[more[0], less[1]] - sums[less[0], more[1]] + sums[more[0], more[1]]
         gram /= 4.0 * np.prod(self.wall)
         onto = (sine[0].T @ ((weight * value)[:, None] * sine[1]))[first, second] / np.sqrt(np.prod(self.wall))
-        log_noise = float(2.0 * np.log(noise).sum())
-        return WeightedBasis(
-            gram=gram, onto=onto, square=float(weight @ value**2), log_noise=log_noise, count=len(value)
-        )
+        return WeightedBasis(gram, onto, float(weight @ value**2), float(2.0 * np.log(noise).sum()), len(value))
 
     def list(self, places: FloatArray, value: FloatArray, noise: FloatArray) -> ListedPoints:
         """Points (k, 2), with values (k,) and noise (k,)."""
@@ -127,12 +124,9 @@ class HilbertBasis:
         expected = root * weight
         left = free.square - 2.0 * expected @ free.onto + expected @ (free.gram @ expected)
         uncertain = len(root) - float(spread.sum()) - float(np.sum((inverse @ listed.T) ** 2))
-        slope = [
-            2.0 * by_density.sum(),
-            by_density @ (2.0 - length**2 * self.frequency2),
-            by * left + uncertain - free.count,
-        ]
-        return LogLikelihood(float(value), np.array(slope))
+        by_length = by_density @ (2.0 - length**2 * self.frequency2)
+        slope = np.array([2.0 * by_density.sum(), by_length, by * left + uncertain - free.count])
+        return LogLikelihood(float(value), slope)
 
 
 def _numbers(wall: FloatArray, highest: float) -> IntArray:

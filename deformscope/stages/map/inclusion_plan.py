@@ -11,15 +11,15 @@ from dataclasses import replace
 from typing import cast
 
 import numpy as np
-from scipy.spatial import KDTree
 
-from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.arrays import BoolArray, FloatArray
+from deformscope.stages.map.detection_limit import largest_circle
 from deformscope.stages.map.exploration import DetectionLimit
 from deformscope.stages.map.inclusion_posterior import DEPTHS_M, EXISTS, TIMES, InclusionPosterior
-from deformscope.stages.map.plan import ALLOWED, PlanOptions, StopReason, TouchChoice, exclusions
+from deformscope.stages.map.plan import ALLOWED, PlannedPlaces, PlanOptions, TouchChoice, exclusions, touch_seconds
 from deformscope.stages.regions.touches import MapGrid
 
-FELT = 0.6
+DETECTED = 0.6
 """Probability of an inclusion from which the next touch is chosen to identify it."""
 FEWEST = 3
 """Least number of touches before the search ends."""
@@ -39,48 +39,40 @@ def plan_inclusion_touch(
 ) -> TouchChoice:
     """The next touch, on cells half as wide as those of the map of gains; arguments as in `plan.plan_touch`. tip_m:
     (2,), left_out_m: (k, 2) [m]; reachable: (rows, columns) mask of the posterior's grid"""
-    grid = MapGrid(posterior.grid.size_m, options.cell_m)
-    places = grid.centres_m
-    made = posterior.places_m if left_out_m is None else np.concatenate([posterior.places_m, left_out_m])
-    tip = tip_m if tip_m is not None else made[-1] if len(made) else np.zeros(2)
-    felt = posterior.state.exists >= FELT and len(posterior.touches) >= FEWEST
+    detected = posterior.state.exists >= DETECTED and len(posterior.touches) >= FEWEST
+    gain_of = information_gain if detected else detection_probability
+    if tip_m is None and left_out_m is not None and len(left_out_m):
+        tip_m = left_out_m[-1]
+    planned = PlannedPlaces(posterior, replace(options, apart_m=0.75 * options.cell_m), tip_m, left_out_m, reachable)
+    circle = largest_circle(posterior.grid, planned.made_m)
+    radii, missed = np.array(posterior.radii_m), posterior.missed
+    limit = DetectionLimit(*circle, radii, missed, contrast=TIMES[0], prior=EXISTS, deepest_m=max(DEPTHS_M))
 
-    def weighed(places: FloatArray, cell_m: float) -> tuple[IntArray, FloatArray, FloatArray]:
-        excluded = exclusions(places, made, posterior.grid, reachable, replace(options, apart_m=0.75 * cell_m))
-        allowed, gain = excluded == ALLOWED, np.full(len(places), np.nan)
+    def gains(places: FloatArray, allowed: BoolArray) -> FloatArray:
+        """(p,) gain of touches at places (p, 2); NaN where they are not allowed."""
+        found = np.full(len(places), np.nan)
         if allowed.any():
             some = np.array_split(places[allowed], -(-int(allowed.sum()) // AT_ONCE))
-            gain[allowed] = np.concatenate(
-                [(information_gain if felt else detection_probability)(posterior, one) for one in some]
-            )
-        return excluded, gain, options.touch_s + np.hypot(*(places - tip).T) / options.speed_m_s
+            found[allowed] = np.concatenate([gain_of(posterior, one) for one in some])
+        return found
 
-    missed = _detection_limit(posterior, made)
-    excluded, gain, cost = weighed(places, options.cell_m)
-    allowed = excluded == ALLOWED
-    stop = _stop(posterior, options, len(made), allowed)
-    target, reason = None, f"stopped: {stop}"
-    if allowed.any():
-        target = places[int(np.nanargmax(gain / cost))]
-    if target is not None and stop is None:
-        finer = MapGrid(posterior.grid.size_m, 0.5 * options.cell_m)
-        near = np.abs(finer.centres_m - target).max(axis=1) < 0.8 * options.cell_m
-        around = np.vstack([target, finer.centres_m[near]])
-        _, worth, takes = weighed(around, finer.cell_m)
-        best = int(np.nanargmax(worth / takes))
-        target, reason = around[best], _why(posterior, felt, float(worth[best]), float(takes[best]))
-    shape = grid.shape
-    return TouchChoice(
-        grid=grid,
-        target_m=target,
-        stop=stop,
-        gain=gain.reshape(shape),
-        unit="nat" if felt else "probability",
-        cost_s=cost.reshape(shape),
-        excluded=excluded.reshape(shape),
-        reason=reason,
-        missed=missed,
-    )
+    gain = gains(planned.grid.centres_m, planned.allowed)
+    stop = planned.ended(options)
+    if stop is None and len(posterior.touches) >= FEWEST and posterior.missed_smallest < options.missed:
+        stop = "no lump missed"
+    unit = "nat" if detected else "probability"
+    choice = planned.choice(limit, gain, unit, gain / planned.cost_s, stop, lambda best: "")
+    if choice.target_m is None or stop is not None:
+        return choice
+    finer = MapGrid(posterior.grid.size_m, 0.5 * options.cell_m)
+    near = np.abs(finer.centres_m - choice.target_m).max(axis=1) < 0.8 * options.cell_m
+    around = np.vstack([choice.target_m, finer.centres_m[near]])
+    apart = replace(options, apart_m=0.75 * finer.cell_m)
+    worth = gains(around, exclusions(around, planned.made_m, posterior.grid, reachable, apart) == ALLOWED)
+    takes = touch_seconds(around, planned.tip_m, options)
+    best = int(np.nanargmax(worth / takes))
+    reason = _why(posterior, detected, float(worth[best]), float(takes[best]))
+    return replace(choice, target_m=around[best], reason=reason)
 
 
 def detection_probability(posterior: InclusionPosterior, places_m: FloatArray) -> FloatArray:
@@ -106,45 +98,17 @@ def _readings(posterior: InclusionPosterior, places_m: FloatArray) -> tuple[Floa
     """(p, j), (p, j) expected change of stiffness and exponent of a touch at places (p, 2) by each inclusion, beyond
     its effect on the earlier ones, in standard deviations."""
     weights, variance = posterior.kriging(places_m)
-    felt, left = posterior.hypotheses.shifts(places_m, posterior.contact_m), posterior.state.left
-    apart = (felt.log - weights @ posterior.felt.log) / np.sqrt(variance + LEAST_VARIANCE)[:, None]
-    earlier = posterior.felt.exponent.mean(axis=0) if len(posterior.touches) else 0.0
-    return apart, (felt.exponent - earlier) / left.bent_sd
+    here, left = posterior.hypotheses.shifts(places_m, posterior.contact_m), posterior.state.left
+    apart = (here.log - weights @ posterior.shifts.log) / np.sqrt(variance + LEAST_VARIANCE)[:, None]
+    earlier = posterior.shifts.exponent.mean(axis=0) if len(posterior.touches) else 0.0
+    return apart, (here.exponent - earlier) / left.bent_sd
 
 
-def _stop(posterior: InclusionPosterior, options: PlanOptions, made: int, allowed: BoolArray) -> StopReason | None:
-    if made >= options.budget:
-        return "budget"
-    if not allowed.any():
-        return "nowhere to go"
-    if len(posterior.touches) >= FEWEST and posterior.missed_smallest < options.missed:
-        return "no lump missed"
-    return None
-
-
-def _detection_limit(posterior: InclusionPosterior, made_m: FloatArray) -> DetectionLimit:
-    size, centres = np.asarray(posterior.grid.size_m), posterior.grid.centres_m
-    circle = np.minimum(centres, size - centres).min(axis=1)
-    if len(made_m):
-        circle = np.minimum(circle, KDTree(made_m).query(centres)[0])
-    at = int(circle.argmax())
-    radii = np.array(posterior.radii_m)
-    return DetectionLimit(
-        untouched_m=float(circle[at]),
-        untouched_at_m=centres[at],
-        lump_radius_m=radii,
-        lump_probability=posterior.missed,
-        contrast=TIMES[0],
-        prior=EXISTS,
-        deepest_m=max(DEPTHS_M),
-    )
-
-
-def _why(posterior: InclusionPosterior, felt: bool, gain: float, cost_s: float) -> str:
+def _why(posterior: InclusionPosterior, detected: bool, gain: float, cost_s: float) -> str:
     """Why here, in words."""
     smallest = f"an inclusion of {100 * posterior.prior.smallest_m:g} cm radius or more"
     unseen = f"{smallest} is missed with a probability of {posterior.missed_smallest:.0%}"
-    if felt:
+    if detected:
         there = f"probability that there is one more: {posterior.state.exists:.0%}"
         return f"locates an inclusion best (by {gain:.2g} nat), takes {cost_s:.0f} s; {there}"
     return f"shows an inclusion with a probability of {gain:.1%}, takes {cost_s:.0f} s; {unseen}"

@@ -156,15 +156,13 @@ class InclusionHypotheses:
         kinds = np.stack(np.meshgrid(DEPTHS_M, np.concatenate([stiff, -stiff]), indexing="ij"), axis=-1).reshape(-1, 2)
         parts = []
         for radius_m in radii_m:
-            x, y = (_spaced(radius_m, side - radius_m, cell_m) for side in size_m)
+            ends = [(radius_m, side - radius_m) for side in size_m]
+            x, y = (np.linspace(a, b, max(2, round((b - a) / cell_m) + 1)) for a, b in ends)
             centre = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
             count = len(centre) * len(kinds)
-            row = [
-                np.repeat(centre, len(kinds), axis=0),
-                np.full((count, 1), radius_m),
-                np.tile(kinds, (len(centre), 1)),
-            ]
-            parts.append(np.hstack([*row, np.full((count, 1), 1.0 / (count * len(radii_m)))]))
+            each = [np.full((count, 1), one) for one in (radius_m, 1.0 / (count * len(radii_m)))]
+            kind = np.tile(kinds, (len(centre), 1))
+            parts.append(np.hstack([np.repeat(centre, len(kinds), axis=0), each[0], kind, each[1]]))
         every = np.concatenate(parts)
         radius_m, depth_m, share, weight = every[:, 2:].T
         return cls(centre_m=every[:, :2], radius_m=radius_m, depth_m=depth_m, share=share, weight=weight)
@@ -182,19 +180,14 @@ class InclusionHypotheses:
             kinds = len(mine) // len(centres)
             depth_m, share = self.depth_m[mine[:kinds]], self.share[mine[:kinds]]
             depths, of_depth = np.unique(depth_m, return_inverse=True)
-            felt = np.stack(
-                [
-                    inclusion_shift(
-                        share[:, None], footprint(one * contact_m, np.array([radius_m]), depths, ASIDE_M)[0][of_depth]
-                    )
-                    for one in CONTACTS
-                ]
-            )
+            radius = np.array([radius_m])
+            energies = [footprint(one * contact_m, radius, depths, ASIDE_M)[0][of_depth] for one in CONTACTS]
+            by_contact = np.stack([inclusion_shift(share[:, None], one) for one in energies])
             away = cdist(places_m, self.centre_m[mine[::kinds]]).clip(max=ASIDE_M[-1])
             after = np.searchsorted(ASIDE_M, away, side="right").clip(1, len(ASIDE_M) - 1)
             part = (away - ASIDE_M[after - 1]) / (ASIDE_M[after] - ASIDE_M[after - 1])
             for out, weights in ((log, to_log), (exponent, to_exponent)):
-                table = np.tensordot(weights, felt, axes=1).T  # (aside, kind)
+                table = np.tensordot(weights, by_contact, axes=1).T  # (aside, kind)
                 between = table[after - 1] * (1.0 - part[..., None]) + table[after] * part[..., None]
                 out[:, mine] = between.reshape(len(places_m), len(mine))
         return InclusionShifts(log, BENT * exponent)
@@ -265,7 +258,7 @@ class LeftOver:
         places = np.array([touch.xy_m for touch in touches]).reshape(-1, 2)
         return cls(places_m=places, read=read, noise=noise, bent=bent - STIFFER * about, bent_noise=bent_noise)
 
-    def without(self, felt: InclusionShifts, weight: FloatArray) -> LeftOver:
+    def without(self, shifts: InclusionShifts, weight: FloatArray) -> LeftOver:
         """Residuals without an inclusion of the posterior (j,), with its uncertainty."""
 
         def less(each: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -273,7 +266,7 @@ class LeftOver:
             mean = each @ weight
             return mean, (each * weight) @ each.T + (FOOTPRINT_DOUBT**2 - 1.0) * np.outer(mean, mean)
 
-        (log, log_doubt), (exponent, exponent_doubt) = less(felt.log), less(felt.exponent)
+        (log, log_doubt), (exponent, exponent_doubt) = less(shifts.log), less(shifts.exponent)
         return LeftOver(
             places_m=self.places_m,
             read=self.read - log,
@@ -282,10 +275,10 @@ class LeftOver:
             bent_noise=self.bent_noise + exponent_doubt,
         )
 
-    def exponents_whitened(self, lumps: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def exponents_whitened(self, effects: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The exponents (t,), and the effects of inclusions (t, j) on them, in units of independent deviations."""
         root = np.linalg.cholesky(self.bent_noise + EXPONENT_LEVEL_SD**2)
-        whitened = solve_triangular(root, np.column_stack([self.bent, lumps]), lower=True)
+        whitened = solve_triangular(root, np.column_stack([self.bent, effects]), lower=True)
         return whitened[:, 0], whitened[:, 1:]
 
     @property
@@ -302,14 +295,14 @@ class InclusionState:
     exists: probability that there is one more, of any radius; backgrounds: (b,) posterior of `BACKGROUNDS`"""
 
     def __init__(
-        self, hypotheses: InclusionHypotheses, felt: InclusionShifts, left: LeftOver, open_: BoolArray
+        self, hypotheses: InclusionHypotheses, shifts: InclusionShifts, left: LeftOver, open_: BoolArray
     ) -> None:
-        """felt: effect on the touches"""
+        """shifts: effect on the touches"""
         self.left, self.open = left, open_
         self._hypotheses = hypotheses
         none, one = np.zeros(len(BACKGROUNDS)), np.zeros((len(BACKGROUNDS), len(hypotheses)))
-        bare, lumps = left.exponents_whitened(felt.exponent)
-        bent, bent_own = bare @ lumps, (lumps**2).sum(axis=0)
+        bare, effects = left.exponents_whitened(shifts.exponent)
+        bent, bent_own = bare @ effects, (effects**2).sum(axis=0)
         root = np.linalg.cholesky(left.noise + LEVEL_SD**2)
         constant = float(np.log(np.diag(root)).sum())
         for _, many in groupby(range(len(BACKGROUNDS)), key=lambda b: BACKGROUNDS[b].shape):
@@ -317,18 +310,18 @@ class InclusionState:
             # of one shape all scatters have the same axes, and what remains is as quick as a sum
             half = solve_triangular(root, BACKGROUNDS[some[0]].related(left.places_m), lower=True)
             spread, axes = np.linalg.eigh(solve_triangular(root, half.T, lower=True))
-            whitened = axes.T @ solve_triangular(root, np.column_stack([left.read, felt.log]), lower=True)
+            whitened = axes.T @ solve_triangular(root, np.column_stack([left.read, shifts.log]), lower=True)
             weight = 1.0 / (1.0 + np.outer([BACKGROUNDS[b].scatter ** 2 for b in some], np.maximum(spread, 0.0)))
-            bare, lumps = whitened[:, 0], whitened[:, 1:]
+            bare, effects = whitened[:, 0], whitened[:, 1:]
             none[some] = 0.5 * (np.log(weight).sum(axis=1) - weight @ bare**2) - constant
-            one[some] = _doubted((weight * bare) @ lumps + bent, weight @ lumps**2 + bent_own)
+            one[some] = _doubted((weight * bare) @ effects + bent, weight @ effects**2 + bent_own)
         self.odds_log = logsumexp(one + none[:, None], axis=0) - logsumexp(none)
         weight = np.where(open_, hypotheses.weight, 0.0)
         self.posterior, log_odds = _normalised(weight, self.odds_log)
         self.exists = float(expit(log_odds + np.log(EXISTS / (1.0 - EXISTS))))
-        joint = self.exists * _shares(one + none[:, None], self.posterior) + (1.0 - self.exists) * np.exp(
-            none - logsumexp(none)
-        )
+        with_one = one + none[:, None]
+        shares = np.exp(with_one - logsumexp(with_one, axis=0)) @ self.posterior
+        joint = self.exists * shares + (1.0 - self.exists) * np.exp(none - logsumexp(none))
         self.backgrounds = joint / joint.sum()
 
     @property
@@ -379,25 +372,24 @@ class InclusionPosterior:
         return contact_radius(min(dent_m, self.prior.tip_radius_m), self.prior.tip_radius_m)
 
     @cached_property
-    def felt(self) -> InclusionShifts:
+    def shifts(self) -> InclusionShifts:
         """Effect of each hypothesis on the touches."""
         return self.hypotheses.shifts(self.places_m, self.contact_m)
 
     @cached_property
     def _search(self) -> tuple[tuple[FoundInclusion, ...], InclusionState]:
-        hypotheses, felt, left = self.hypotheses, self.felt, LeftOver.of(self.touches)
+        hypotheses, shifts, left = self.hypotheses, self.shifts, LeftOver.of(self.touches)
         found: list[FoundInclusion] = []
         open_ = np.ones(len(hypotheses), dtype=bool)
         while True:
-            state = InclusionState(hypotheses, felt, left, open_)
+            state = InclusionState(hypotheses, shifts, left, open_)
             one = self._found(state)
             if one is None or len(found) == MOST_FOUND:
                 return tuple(found), state
             found.append(one)
-            left = left.without(felt, one.posterior)
-            open_ = open_ & (
-                np.linalg.norm(hypotheses.centre_m - one.centre_m, axis=1) > hypotheses.radius_m + one.radius_m
-            )
+            left = left.without(shifts, one.posterior)
+            away = np.linalg.norm(hypotheses.centre_m - one.centre_m, axis=1)
+            open_ = open_ & (away > hypotheses.radius_m + one.radius_m)
 
     @property
     def found(self) -> tuple[FoundInclusion, ...]:
@@ -450,10 +442,8 @@ class InclusionPosterior:
     def covered(self) -> FloatArray:
         """(rows, columns) probability that a cell lies above an inclusion, found or not."""
         centres, clear = self.grid.centres_m, np.ones(len(self.grid.centres_m))
-        for weight in (
-            *(one.posterior * one.probability for one in self.found),
-            self.state.exists * self.state.posterior,
-        ):
+        each = [*((one.posterior, one.probability) for one in self.found), (self.state.posterior, self.state.exists)]
+        for weight in (posterior * probability for posterior, probability in each):
             clear *= 1.0 - np.minimum(self._above(weight, centres), 1.0)
         return (1.0 - clear).reshape(self.grid.shape)
 
@@ -509,13 +499,14 @@ class InclusionPosterior:
         """Foam and found inclusions as regions, softest first; the field is the foam's with the effect of found
         inclusions."""
         found, cells = self.found, self.grid.centres_m
-        field_log, variance = self._foam(cells)
+        weights, variance = self.kriging(cells)
+        field_log = weights @ self.state.left.read
         level, sd = [float(field_log.mean())], [float(np.sqrt(variance.mean()))]
         labels, sure = np.zeros(len(cells), dtype=np.int64), 1.0 - self.covered.ravel()
         for number, one in enumerate(found, start=1):
-            felt = self.hypotheses.shifts(np.vstack([cells[::4], one.centre_m]), self.contact_m).log
-            mean = felt @ one.posterior
-            doubt = np.maximum(felt**2 @ one.posterior - mean**2, 0.0) + (FOOTPRINT_DOUBT * mean) ** 2
+            shift = self.hypotheses.shifts(np.vstack([cells[::4], one.centre_m]), self.contact_m).log
+            mean = shift @ one.posterior
+            doubt = np.maximum(shift**2 @ one.posterior - mean**2, 0.0) + (FOOTPRINT_DOUBT * mean) ** 2
             at = np.linalg.norm(cells - one.centre_m, axis=1)
             order = np.argsort(at[::4])
             field_log = field_log + np.interp(at, at[::4][order], mean[:-1][order])
@@ -546,11 +537,6 @@ class InclusionPosterior:
             scatter=self.scatter,
         )
 
-    def _foam(self, places_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(p,), (p,) mean and variance of the foam's log stiffness at places (p, 2), inclusions left out."""
-        weights, spare = self.kriging(places_m)
-        return weights @ self.state.left.read, spare
-
     def kriging(self, places_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(p, t) weights of touches for one at places (p, 2), and (p,) remaining variance: of a scatter with known
         parameters."""
@@ -558,10 +544,10 @@ class InclusionPosterior:
         scatter2 = background.scatter**2
         if not len(places):
             return np.zeros((len(places_m), 0)), np.full(len(places_m), scatter2)
-        beside = scatter2 * background.shared(places_m, places) + LEVEL_SD**2
+        across = scatter2 * background.shared(places_m, places) + LEVEL_SD**2
         mixed = self.state.left.noise + scatter2 * background.related(places) + LEVEL_SD**2
-        weights = cho_solve(cho_factor(mixed), beside.T).T
-        spare = scatter2 + LEVEL_SD**2 - (weights * beside).sum(axis=1)
+        weights = cho_solve(cho_factor(mixed), across.T).T
+        spare = scatter2 + LEVEL_SD**2 - (weights * across).sum(axis=1)
         return weights, np.maximum(spare, LEAST_SD**2)
 
 
@@ -573,11 +559,6 @@ def _doubted(with_read: FloatArray, own: FloatArray) -> FloatArray:
     return np.asarray(0.5 * ((with_read + sure) ** 2 / (own + sure) - sure - np.log1p(own / sure)))
 
 
-def _spaced(low: float, high: float, cell: float) -> FloatArray:
-    """(n,) coordinates from `low` to `high`, about a cell apart, in their unit."""
-    return np.linspace(low, high, max(2, round((high - low) / cell) + 1))
-
-
 def _normalised(weight: FloatArray, log: FloatArray) -> tuple[FloatArray, float]:
     """weight times exp(log) (j,), 1 in all, and the logarithm of its mean over `weight`."""
     if not weight.sum() > 0.0:
@@ -586,11 +567,6 @@ def _normalised(weight: FloatArray, log: FloatArray) -> tuple[FloatArray, float]
         every = np.log(weight / weight.sum()) + log
     total = float(logsumexp(every))
     return np.exp(every - total), total
-
-
-def _shares(joint: FloatArray, posterior: FloatArray) -> FloatArray:
-    """(s,) of scatters under some guesses: joint (s, j) logarithms."""
-    return np.asarray(np.exp(joint - logsumexp(joint, axis=0)) @ posterior)
 
 
 def _interval(values: FloatArray, share: FloatArray) -> tuple[float, float]:

@@ -30,16 +30,16 @@ def match_regions(found: IntArray, truth: IntArray) -> tuple[float, list[tuple[i
 def boundary_distance(found: IntArray, truth: IntArray, cell_m: float) -> float | None:
     """Mean distance between the boundaries of two label maps (rows, columns), in both directions [m]; None if either
     has none."""
-    edges = [_boundary(labels) for labels in (found, truth)]
+
+    def boundary(labels: IntArray) -> BoolArray:
+        """(rows, columns) cells whose label differs from the cell above or left of it."""
+        edge = np.zeros(labels.shape, dtype=bool)
+        edge[1:] |= labels[1:] != labels[:-1]
+        edge[:, 1:] |= labels[:, 1:] != labels[:, :-1]
+        return edge
+
+    edges = [boundary(labels) for labels in (found, truth)]
     if not all(edge.any() for edge in edges):
         return None
     away = [distance_transform_edt(~edge) for edge in edges]
     return float(cell_m * 0.5 * (away[0][edges[1]].mean() + away[1][edges[0]].mean()))
-
-
-def _boundary(labels: IntArray) -> BoolArray:
-    """(rows, columns) cells whose label differs from the cell above or left of it."""
-    edge = np.zeros(labels.shape, dtype=bool)
-    edge[1:] |= labels[1:] != labels[:-1]
-    edge[:, 1:] |= labels[:, 1:] != labels[:, :-1]
-    return edge

@@ -6,7 +6,6 @@ them; they bound the estimates of a handful of points."""
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +13,6 @@ from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
 from deformscope.arrays import FloatArray
-from deformscope.errors import InputError
 from deformscope.stages.gaussian_process import Kernel
 from deformscope.stages.map.hilbert_basis import MOST_SINES, HilbertBasis, ListedPoints, WeightedBasis
 from deformscope.stages.map.perception import Hyperparameters
@@ -67,46 +65,23 @@ class Observations:
     noise: FloatArray
 
 
-@dataclass(frozen=True, slots=True)
-class FixedHyperparameters:
-    """Hyper-parameters that the user fixed; None: it is learned."""
-
-    sigma_e: float | None = None
-    sigma_w: float | None = None
-    noise_scale: float | None = None
-
-
 NAMES = ("sigma_e", "length", "noise_scale")
 
 
-def learn(
-    free: Observations, known: Observations, given: FixedHyperparameters, start: Hyperparameters | None = None
-) -> Hyperparameters:
-    """The likeliest hyper-parameters. free: points whose noise is known up to one factor; known: observations whose
-    noise is known.
-
-    start: estimates from nearly the same points, if any; otherwise a few lengths are tried first. If all
-    hyper-parameters are given, none is fitted, and the likelihood is NaN. Raises InputError if a given sigma_w is too
-    short for the others to be learned."""
-    if not len(free.value):
-        given = dataclasses.replace(given, noise_scale=1.0)
-    if given.sigma_e is not None and given.sigma_w is not None and given.noise_scale is not None:
-        return Hyperparameters(
-            kernel=Kernel(given.sigma_e, given.sigma_w),
-            noise_scale=given.noise_scale,
-            log_likelihood=float("nan"),
-            at_bound=(),
-            trials=0,
-        )
-    places = np.concatenate([free.places, known.places])
-    low, high = places.min(axis=0), places.max(axis=0)
-    search = _Search(free, known, 0.5 * (low + high), 0.5 * (high - low))
-    return search.run(given, start)
+def learn(free: Observations, known: Observations, start: Hyperparameters | None) -> Hyperparameters:
+    """The likeliest hyper-parameters. free: points whose noise is known up to one factor (1 without such points);
+    known: points whose noise is known; start: estimates from nearly the same points; None: a few lengths are tried
+    first"""
+    return _Search(free, known).run(start)
 
 
 class _Search:
-    def __init__(self, free: Observations, known: Observations, middle: FloatArray, half: FloatArray) -> None:
-        self.free, self.known, self.middle, self.half = free, known, middle, half
+    def __init__(self, free: Observations, known: Observations) -> None:
+        self.free, self.known = free, known
+        places = np.concatenate([free.places, known.places])
+        low, high = places.min(axis=0), places.max(axis=0)
+        self.middle, self.half = 0.5 * (low + high), 0.5 * (high - low)
+        half = self.half
         self.trials = 0
         longest = LONGEST * max(2.0 * float(half.max()), FLOOR_M)
         shortest = longest * 1e-4
@@ -118,27 +93,16 @@ class _Search:
         self.scale = noise / float(np.median(free.noise)) if len(free.noise) else 1.0
         self.scales = np.log([max(float(value.std()), noise, FLOOR_M), 0.25 * longest / LONGEST, self.scale])
 
-    def run(self, given: FixedHyperparameters, before: Hyperparameters | None) -> Hyperparameters:
-        length = None if given.sigma_w is None else Kernel(1.0, given.sigma_w).length_m
-        if length is not None and HilbertBasis.size(self.half, length / RANGE[0], length * RANGE[1]) > 4 * MOST_SINES:
-            raise InputError(
-                f"a sigma_w of {0.5 * np.sqrt(2.0) * self.limits[0]:.2g} m or more on this box, to fit the rest",
-                f"{given.sigma_w:.3g} m",
-                "give sigma_e and the noise too, or a smaller box",
-            )
-        chosen = [given.sigma_e, length, given.noise_scale]
-        fixed = [None if one is None else float(np.log(one)) for one in chosen]
+    def run(self, before: Hyperparameters | None) -> Hyperparameters:
         low, high = self.scales - FREEDOM, self.scales + FREEDOM
         low[1], high[1] = np.log(self.limits)
-        start = np.array([s if f is None else f for s, f in zip(self.scales, fixed, strict=True)])
-        for i, one in enumerate(fixed):
-            if one is not None:
-                low[i] = high[i] = one
-        if before is not None:
-            start = np.log([before.kernel.sigma_e, before.kernel.length_m, before.noise_scale])
-        elif fixed[1] is None:
-            start = self._first(start, fixed[2] is None)
-        at, value = start, -np.inf
+        if not len(self.free.value):
+            low[2] = high[2] = 0.0
+        if before is None:
+            at = self._first()
+        else:
+            at = np.log([before.kernel.sigma_e, before.kernel.length_m, before.noise_scale])
+        value = -np.inf
         for _ in range(MOST_ROUNDS):
             length = float(np.exp(at[1]))
             ends = length / RANGE[0], length * RANGE[1]
@@ -151,8 +115,8 @@ class _Search:
                 break
         bound = [
             name
-            for name, f, x, a, b in zip(NAMES, fixed, at, low, high, strict=True)
-            if f is None and (x <= a + NEAR_BOUND or x >= b - NEAR_BOUND)
+            for name, x, a, b in zip(NAMES, at, low, high, strict=True)
+            if a < b and (x <= a + NEAR_BOUND or x >= b - NEAR_BOUND)
         ]
         sigma_e, length, scale = (float(x) for x in np.exp(at))
         return Hyperparameters(
@@ -163,15 +127,16 @@ class _Search:
             trials=self.trials,
         )
 
-    def _first(self, start: FloatArray, free_noise: bool) -> FloatArray:
+    def _first(self) -> FloatArray:
         """(3,) logarithms to start from: the best of a few lengths, from long to short. Each has the noise between
         neighbours, and less, because a surface that is rough between neighbours resembles noise."""
+        start = self.scales
         length, best, at = 0.5 * self.limits[1] / LONGEST, -np.inf, start
         while True:
             length = max(length, self.limits[0])
             basis = HilbertBasis(self.middle, self.half, length, length)
             weighed = self._weighed(basis)
-            for less in (0.0, LESS_NOISE) if free_noise else (0.0,):
+            for less in (0.0, LESS_NOISE) if len(self.free.value) else (0.0,):
                 here = np.array([start[0], np.log(length), start[2] - less])
                 value = basis.trial(*weighed, *(float(x) for x in np.exp(here))).value
                 self.trials += 1

@@ -20,6 +20,7 @@ from deformscope.errors import InputError
 from deformscope.stages.gaussian_process import gaussian_between
 from deformscope.stages.map.detection_limit import INCLUSION_RADII_M, UnseenInclusions, detection_limit
 from deformscope.stages.map.exploration import DetectionLimit
+from deformscope.stages.map.inclusion_posterior import InclusionPosterior
 from deformscope.stages.regions.hypotheses import RegionHypotheses, RelatedTouches
 from deformscope.stages.regions.levels import labels_of
 from deformscope.stages.regions.posterior import RegionPosterior
@@ -75,8 +76,7 @@ class PlanOptions:
     from which the number of regions is no longer in doubt; budget: most touches
     inclusion_m: radius of the smallest inclusions that are sought; unmet: probability of an undetected inclusion below
     which the search ends. `sure`, `unmet` and `least_gain` were chosen on tuning seeds (`studies.seeds`); missed: where
-    inclusions alone are sought: probability of a missed one, below which enough is known (`inclusion_plan`)
-    """
+    inclusions alone are sought: probability of a missed one, below which enough is known (`inclusion_plan`)"""
 
     fill: int = 4
     cell_m: float = 0.02
@@ -118,35 +118,28 @@ class TouchChoice:
     missed: DetectionLimit
 
 
-@dataclass(frozen=True, slots=True)
 class PlannedPlaces:
     """The places that are considered for a touch: cells of `grid`.
 
     made_m: (n, 2) places of earlier touches, those without a result too [m]; excluded: (p,) codes, changed where a
     touch may be repeated; cost_s: (p,) time of the route and the touch"""
 
-    grid: MapGrid
-    made_m: FloatArray
-    excluded: IntArray
-    cost_s: FloatArray
-
-    @classmethod
-    def of(
-        cls,
-        posterior: RegionPosterior,
+    def __init__(
+        self,
+        posterior: RegionPosterior | InclusionPosterior,
         options: PlanOptions,
-        *,
         tip_m: FloatArray | None,
         left_out_m: FloatArray | None,
         reachable: BoolArray | None,
-    ) -> PlannedPlaces:
+    ) -> None:
         """Arguments as in `plan_touch`."""
-        grid = MapGrid(posterior.grid.size_m, options.cell_m)
+        self.grid = MapGrid(posterior.grid.size_m, options.cell_m)
+        centres = self.grid.centres_m
         touched = np.array([touch.xy_m for touch in posterior.touches]).reshape(-1, 2)
-        made = touched if left_out_m is None else np.concatenate([touched, left_out_m])
-        tip = tip_m if tip_m is not None else touched[-1] if len(touched) else np.zeros(2)
-        excluded = exclusions(grid.centres_m, made, posterior.grid, reachable, options)
-        return cls(grid, made, excluded, options.touch_s + np.hypot(*(grid.centres_m - tip).T) / options.speed_m_s)
+        self.made_m = touched if left_out_m is None else np.concatenate([touched, left_out_m])
+        self.tip_m = tip_m if tip_m is not None else touched[-1] if len(touched) else np.zeros(2)
+        self.excluded = exclusions(centres, self.made_m, posterior.grid, reachable, options)
+        self.cost_s = touch_seconds(centres, self.tip_m, options)
 
     @property
     def allowed(self) -> BoolArray:
@@ -177,17 +170,8 @@ class PlannedPlaces:
             target = (self.grid.centres_m if at_m is None else at_m)[best]
             reason = why(best) if stop is None else reason
         shape = self.grid.shape
-        return TouchChoice(
-            grid=self.grid,
-            target_m=target,
-            stop=stop,
-            gain=gain.reshape(shape),
-            unit=unit,
-            cost_s=self.cost_s.reshape(shape),
-            excluded=self.excluded.reshape(shape),
-            reason=reason,
-            missed=limit,
-        )
+        gains, costs, excluded = gain.reshape(shape), self.cost_s.reshape(shape), self.excluded.reshape(shape)
+        return TouchChoice(self.grid, target, stop, gains, unit, costs, excluded, reason, missed=limit)
 
 
 def plan_touch(
@@ -204,7 +188,7 @@ def plan_touch(
     tip_m: (2,) present place of the tip, default the last touch, else the surface's corner [m]
     left_out_m: (n, 2) places of touches without a result: they count for the budget, and are not repeated
     reachable: (rows, columns) cells of `posterior.grid` that the tip reaches"""
-    planned = PlannedPlaces.of(posterior, options, tip_m=tip_m, left_out_m=left_out_m, reachable=reachable)
+    planned = PlannedPlaces(posterior, options, tip_m, left_out_m, reachable)
     places, excluded = planned.grid.centres_m, planned.excluded
     touched, left_out = np.split(planned.made_m, [len(posterior.touches)])
     at_m, again = posterior.repeated(places, 0.5 * options.cell_m)
@@ -231,8 +215,7 @@ def information(hypotheses: RegionHypotheses, touches: RelatedTouches, blur_m: f
     """(p,) mutual information of touches and the surface [nat].
 
     It is the entropy of the reading over all hypotheses less that under each (Lindley 1956), computed in bins, which
-    make it slightly smaller.
-    """
+    make it slightly smaller."""
     chance, weight = _outcomes(hypotheses, touches, blur_m, OUTCOMES)
     together = np.tensordot(chance, weight, axes=(1, 0))
     entropy = -xlogy(together, together).sum(axis=0)
@@ -250,8 +233,7 @@ def label_gain(hypotheses: RegionHypotheses, touches: RelatedTouches, cells_m: F
     best, best_now = np.zeros((len(joint), len(cells_m))), np.zeros(len(cells_m))
     start = 0
     for maps, level, _, _ in hypotheses.maps:
-        regions = level.shape[1]
-        here = slice(start, start + len(level))
+        regions, here = level.shape[1], slice(start, start + len(level))
         start += len(level)
         labels = labels_of(maps, level, cells_m)
         for rank in range(regions):
@@ -280,12 +262,7 @@ def _outcomes(
 ) -> tuple[FloatArray, FloatArray]:
     """(count, h, p) probability of each outcome of a touch under each hypothesis, and the hypotheses' weights (h,)."""
     mean, _, sd, weight = touches.expected(hypotheses, blur_m)
-    below = ndtr((_bin_edges(mean, sd, weight, count)[:, None] - mean) / sd)
-    return np.diff(below, axis=0, prepend=0.0, append=1.0), weight
-
-
-def _bin_edges(mean: FloatArray, sd: FloatArray, weight: FloatArray, count: int) -> FloatArray:
-    """Edges (bins - 1, p) of bins with about equal probability of a reading, under any hypothesis."""
+    # bins of about equal probability of a reading, under any hypothesis
     spread = ndtri((np.arange(8) + 0.5) / 8.0)
     reading = (mean[:, None] + sd[:, None] * spread[:, None]).reshape(-1, mean.shape[1])
     order = np.argsort(reading, axis=0)
@@ -293,7 +270,13 @@ def _bin_edges(mean: FloatArray, sd: FloatArray, weight: FloatArray, count: int)
     wanted = np.arange(1, count) / count
     at = [np.searchsorted(below[:, place], wanted) for place in range(reading.shape[1])]
     chosen = np.take_along_axis(order, np.minimum(np.stack(at, axis=1), len(reading) - 1), axis=0)
-    return cast(FloatArray, np.take_along_axis(reading, chosen, axis=0))
+    edges = np.take_along_axis(reading, chosen, axis=0)
+    return np.diff(ndtr((edges[:, None] - mean) / sd), axis=0, prepend=0.0, append=1.0), weight
+
+
+def touch_seconds(places_m: FloatArray, tip_m: FloatArray, options: PlanOptions) -> FloatArray:
+    """(p,) time of the route from the tip (2,) to places (p, 2) [m] and of the touch there [s]."""
+    return np.asarray(options.touch_s + np.hypot(*(places_m - tip_m).T) / options.speed_m_s)
 
 
 def exclusions(
@@ -329,13 +312,6 @@ def _explained(kernel: FieldKernel, touched: FloatArray, places: FloatArray) -> 
     return cast(FloatArray, np.linalg.solve(np.linalg.cholesky(own), kernel.covariance(touched, places)))
 
 
-def _integrated_drop(kernel: FieldKernel, touched: FloatArray, places: FloatArray) -> FloatArray:
-    """(p,) by how much the mean variance over all places would drop."""
-    explained = _explained(kernel, touched, places)
-    covariance = kernel.covariance(places, places) - explained.T @ explained
-    return cast(FloatArray, (covariance**2).mean(axis=0) / (np.diagonal(covariance) + kernel.noise_sd**2))
-
-
 def _gain(
     posterior: RegionPosterior,
     kernel: FieldKernel,
@@ -347,21 +323,19 @@ def _gain(
 ) -> tuple[FloatArray, str]:
     """Gain (p,), nan where not `allowed`, and its unit."""
     if len(touched) < options.fill:
-        return np.where(allowed, _integrated_drop(kernel, touched, places), np.nan), "mean variance"
+        explained = _explained(kernel, touched, places)
+        covariance = kernel.covariance(places, places) - explained.T @ explained
+        drop = (covariance**2).mean(axis=0) / (np.diagonal(covariance) + kernel.noise_sd**2)
+        return np.where(allowed, drop, np.nan), "mean variance"
     gain = np.full(len(places), np.nan)
     if allowed.any():
-        gain[allowed] = _inclusion_gain(posterior, options.inclusion_m, places[allowed])
+        inclusions = [UnseenInclusions(posterior, times * options.inclusion_m) for times in LARGER]
+        gain[allowed] = INCLUSION_WORTH * np.mean([one.gain(places[allowed]) for one in inclusions], axis=0)
         # a search for the boundaries of what nothing speaks for would only stall
         if posterior.probability["1"] <= 0.5:
             at_m, _ = posterior.repeated(places[allowed], 0.5 * options.cell_m)
             gain[allowed] += _region_gain(posterior, posterior.related(at_m), cost[allowed])
     return gain, "label"
-
-
-def _inclusion_gain(posterior: RegionPosterior, smallest_m: float, places: FloatArray) -> FloatArray:
-    """(p,) expected gain of a touch in labels by showing an inclusion."""
-    chance = [UnseenInclusions(posterior, times * smallest_m).gain(places) for times in LARGER]
-    return cast(FloatArray, INCLUSION_WORTH * np.mean(chance, axis=0))
 
 
 def _region_gain(posterior: RegionPosterior, touches: RelatedTouches, cost: FloatArray) -> FloatArray:

@@ -71,7 +71,9 @@ class SparseProcess:
     ) -> None:
         self.kernel = kernel
         self.axes = [Axis(float(low[d]), float(high[d]), kernel.length_m) for d in range(2)]
-        self._pairs = _pairs(self.axes)
+        first, second = (axis.eigenvalue / axis.eigenvalue[0] for axis in self.axes)
+        # (m, 2) the products of features whose variance counts
+        self._pairs: IntArray = np.argwhere(np.outer(first, second) > LEAST_EIGENVALUE)
         size = len(self._pairs)
         inner, onto, missing = np.eye(size), np.zeros(size), 0.0
         for start in range(0, len(value), CHUNK):
@@ -117,9 +119,3 @@ class SparseProcess:
             axis.slopes(places[:, d]) if slope[d] else axis.features(places[:, d]) for d, axis in enumerate(self.axes)
         )
         return np.asarray(self.kernel.sigma_e * x[:, self._pairs[:, 0]] * y[:, self._pairs[:, 1]])
-
-
-def _pairs(axes: list[Axis]) -> IntArray:
-    """(m, 2) the products of features whose variance counts."""
-    first, second = (axis.eigenvalue / axis.eigenvalue[0] for axis in axes)
-    return np.argwhere(np.outer(first, second) > LEAST_EIGENVALUE)

@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_limits
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.gaussian_process import Kernel, ProcessPrediction
-from deformscope.stages.map.marginal_likelihood import FixedHyperparameters, Observations, learn
+from deformscope.stages.map.marginal_likelihood import Observations, learn
 from deformscope.stages.map.perception import Hyperparameters
 from deformscope.stages.map.sparse_process import SPACING, SparseProcess
 from deformscope.stages.regions.touches import MapGrid
@@ -94,9 +94,6 @@ def fit_surface(
     noise_m: FloatArray | None = None,
     known_m: FloatArray | None = None,
     known_noise_m: FloatArray | None = None,
-    sigma_e_m: float | None = None,
-    sigma_w_m: float | None = None,
-    noise_scale: float | None = None,
     within_m: tuple[tuple[float, float], tuple[float, float]] | None = None,
     outlier_sd: float | None = None,
 ) -> HeightProcess:
@@ -104,8 +101,6 @@ def fit_surface(
 
     noise_m: (n,) deviation of each height [m] up to one factor, which is learned: default the same at all points
     known_m, known_noise_m: (k, 3) and (k,) further points with known noise, such as tactile ones [m]
-    sigma_e_m, sigma_w_m: the kernel's (Thesis eq. 4.5) [m]; noise_scale: the factor of noise_m; given ones are used
-    (sigma_n of Thesis eq. 4.3 is fixed by noise_m filled with it and noise_scale=1)
     within_m: the (low, high) places at which the surface will be evaluated, default the points' own box; beyond it the
     process falls back to its prior within about a length
     outlier_sd: points farther from the surface than this many deviations are left out, and the surface is fitted again.
@@ -119,12 +114,9 @@ def fit_surface(
     low, high = places.min(axis=0), places.max(axis=0)
     if within_m is not None:
         low, high = np.minimum(low, within_m[0]), np.maximum(high, within_m[1])
-    given = FixedHyperparameters(sigma_e_m, sigma_w_m, noise_scale)
-    if sigma_w_m is not None:
-        _check_box(Kernel(1.0, sigma_w_m), low, high)
     used = np.ones(len(free.value), dtype=bool)
     with threadpool_limits(1):  # the same digits whatever the machine's cores
-        learned, process = _learned(free, known, given, low, high)
+        learned, process = _learned(free, known, low, high)
         for _ in range(OUTLIER_ROUNDS if outlier_sd is not None else 0):
             found = process.at(free.places)
             away = np.abs(free.value - found.mean)
@@ -133,7 +125,7 @@ def fit_surface(
                 break
             used = inside
             some = Observations(free.places[used], free.value[used], free.noise[used])
-            learned, process = _learned(some, known, given, low, high, learned)
+            learned, process = _learned(some, known, low, high, learned)
     return HeightProcess(
         learned=learned,
         level_m=level,
@@ -146,16 +138,17 @@ def fit_surface(
 
 
 def _learned(
-    free: Observations,
-    known: Observations,
-    given: FixedHyperparameters,
-    low: FloatArray,
-    high: FloatArray,
-    start: Hyperparameters | None = None,
+    free: Observations, known: Observations, low: FloatArray, high: FloatArray, start: Hyperparameters | None = None
 ) -> tuple[Hyperparameters, SparseProcess]:
     """Hyper-parameters, and the process with them. low, high: (2,) corners of the box that holds the points [m]"""
-    learned = learn(free, known, given, start)
-    _check_box(learned.kernel, low, high)
+    learned = learn(free, known, start)
+    length_m = learned.kernel.length_m
+    if float(np.prod((high - low) / (SPACING * length_m) + 1.0)) > MOST_INDUCING:
+        raise InputError(
+            f"a surface for at most {MOST_INDUCING} inducing points",
+            f"length {length_m:.3g} m on {high[0] - low[0]:.3g} x {high[1] - low[1]:.3g} m",
+            "a smaller box",
+        )
     process = SparseProcess(
         learned.kernel,
         np.concatenate([free.places, known.places]),
@@ -165,16 +158,6 @@ def _learned(
         high,
     )
     return learned, process
-
-
-def _check_box(kernel: Kernel, low: FloatArray, high: FloatArray) -> None:
-    inducing = float(np.prod((high - low) / (SPACING * kernel.length_m) + 1.0))
-    if inducing > MOST_INDUCING:
-        raise InputError(
-            f"a kernel for at most {MOST_INDUCING} inducing points",
-            f"length {kernel.length_m:.3g} m on {high[0] - low[0]:.3g} x {high[1] - low[1]:.3g} m",
-            "a smaller box, or a longer sigma_w",
-        )
 
 
 def _checked(points: FloatArray | None, noise: FloatArray | None, default: float | None) -> Observations:

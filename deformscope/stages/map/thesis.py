@@ -116,7 +116,7 @@ def thesis_beta(
     thickness_m: layers down to a ground that is held, this far below; default a single layer, as in the thesis
     cluster_size: particles a side; None: one cluster of all particles, which deforms quadratically (the thesis's "no
     cluster")
-    step: step of the sweep (`swept_betas`) A single layer, all bending, has wider dents than foam on a table, at any
+    step: step of the sweep (`swept_betas`). A single layer, all bending, has wider dents than foam on a table, at any
     beta: on finite element slabs of 20 to 120 kPa with a square of 15 cm beta is 0 for all except the smoothest dents.
     With one held particle of a volume lattice, beta depends on firmness: 0.55 to 0.14 there. Raises InputError if the
     lowest point is at the square's edge."""
@@ -140,9 +140,7 @@ def thesis_beta(
         lattice = shape if layers == 1 else (*shape, layers)
         grouped = clusters.lattice(rest, lattice, np.arange(len(rest)), cluster_size)
         law = Law(0.0, cluster_size=cluster_size)
-    scene = PokeSetup(
-        rest=rest, clusters=grouped, fixed=np.flatnonzero(fixed), open=top, toward=DOWN, spacing=dent.cell_m
-    )
+    scene = PokeSetup(rest, grouped, np.flatnonzero(fixed), open=top, toward=DOWN, spacing=dent.cell_m)
     here = top[[lowest]]
     body = hold(scene, here, law, "float32", "cpu")
     beta = swept_betas(step)
@@ -245,7 +243,7 @@ def plan_thesis_touch(
 ) -> TouchChoice:
     """Any place whose variance is above the threshold (Thesis 4.2); the field's variance alone ends the touches. Other
     arguments as in `plan.plan_touch`; seed: seed of the random choice"""
-    places = PlannedPlaces.of(posterior, options, tip_m=tip_m, left_out_m=left_out_m, reachable=reachable)
+    places = PlannedPlaces(posterior, options, tip_m, left_out_m, reachable)
     variance = (field.at(places.grid.centres_m).deviation / SIGMA_E) ** 2
     order = np.random.default_rng((seed, len(posterior.touches))).random(len(variance))
     score = np.where(variance > options.threshold, order, -1.0)

@@ -54,11 +54,8 @@ class BallContact:
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.lowest_m).all() and self.radius_m > 0.0 and self.depth_m > 0.0):
-            raise InputError(
-                "a ball that has sunk in",
-                f"radius {self.radius_m:g} m, depth {self.depth_m:g} m",
-                "leave rigid touches",
-            )
+            came = f"radius {self.radius_m:g} m, depth {self.depth_m:g} m"
+            raise InputError("a ball that has sunk in", came, "leave rigid touches")
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,24 +84,22 @@ def fit_touch(
     *,
     thickness_m: float,
     cluster_size: int = CLUSTER_SIZE,
-    sample_m: tuple[tuple[float, float], tuple[float, float]] | None = None,
 ) -> TouchBeta:
     """beta of layers of material below the surface. Their bottom is held, and all particles that the ball touches are
     held to it.
 
     world: the surface before, a process of all points seen then: it gives the heights at rest, not the dent
     after_m: (n, 3) raw points seen while the ball pressed, the robot's taken away [m]
-    thickness_m: thickness of the foam [m]; sample_m: (low, high) edges of the foam, default the world's box The
-    lattice's spacing is the patch's radius. Therefore the patch always has four columns, and a coarse lattice has the
-    same effect on beta for soft and firm foam. (At 1 cm a single one would, for every patch: noise-free dents of 20 to
-    120 kPa then give 0.55 to 0.14, the trend that one held particle makes; so they give at most 0.1.) Raises InputError
-    for too few points around the touch."""
+    thickness_m: thickness of the foam [m], whose edges are those of the world's box. The lattice's spacing is the
+    patch's radius. Therefore the patch always has four columns, and a coarse lattice has the same effect on beta for
+    soft and firm foam. (At 1 cm a single one would, for every patch: noise-free dents of 20 to 120 kPa then give 0.55
+    to 0.14, the trend that one held particle makes; so they give at most 0.1.) Raises InputError for too few points
+    around the touch."""
     radius = contact_radius_m(touch.radius_m, touch.depth_m)
     ends = LEAST_SPACING_SHARE * thickness_m, MOST_SPACING_SHARE * thickness_m
     spacing = float(np.clip(radius, *ends))
     near = _around(after_m, touch, thickness_m)
-    low, high = sample_m or world.box_m
-    surface = MeasuredSurface(_at_rest(world, touch, thickness_m, low, high, spacing), thickness_m)
+    surface = MeasuredSurface(_at_rest(world, touch, thickness_m, spacing), thickness_m)
     sunk = near[:, 2] - world.at(near[:, :2]).mean
     touched, touched_by = _contact(touch)
     seen = SeenPoke(
@@ -140,15 +135,9 @@ def _around(after: FloatArray, touch: BallContact, thickness: float) -> FloatArr
     return near
 
 
-def _at_rest(
-    world: HeightProcess,
-    touch: BallContact,
-    thickness: float,
-    low: tuple[float, float],
-    high: tuple[float, float],
-    spacing: float,
-) -> FloatArray:
+def _at_rest(world: HeightProcess, touch: BallContact, thickness: float, spacing: float) -> FloatArray:
     """(n, 3) the surface before, as far around the touch as the lattice goes."""
+    low, high = world.box_m
     reach = touch.radius_m + REACH_SHARE * thickness + 2.0 * REACH_TIPS * touch.radius_m + spacing
     at = touch.lowest_m[:2]
     first, last = np.maximum(at - reach, low), np.minimum(at + reach, high)
@@ -165,9 +154,8 @@ def _contact(touch: BallContact) -> tuple[FloatArray, FloatArray]:
     radius = contact_radius_m(touch.radius_m, touch.depth_m)
     away = radius * np.arange(1, RINGS + 1) / RINGS
     angle = 2.0 * np.pi * np.arange(SPOKES) / SPOKES
-    aside = np.concatenate(
-        [np.zeros((1, 2)), (away[:, None, None] * np.column_stack([np.cos(angle), np.sin(angle)])).reshape(-1, 2)]
-    )
+    rings = away[:, None, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+    aside = np.concatenate([np.zeros((1, 2)), rings.reshape(-1, 2)])
     sink = Tip("sphere", (2.0 * touch.radius_m,)).rise(aside * (1.0 - 1e-9)) - touch.depth_m
     rest = np.column_stack([touch.lowest_m[:2] + aside, np.full(len(aside), touch.lowest_m[2] + touch.depth_m)])
     return rest, np.column_stack([np.zeros_like(aside), sink])

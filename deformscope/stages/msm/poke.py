@@ -53,6 +53,11 @@ class Tip:
         return min(self.size)
 
     @property
+    def half(self) -> FloatArray:
+        """(2,) half of its sides, or its radius twice [m]."""
+        return np.asarray(0.5 * np.asarray(self.size if len(self.size) == 2 else self.size * 2))
+
+    @property
     def area(self) -> float:
         """Area of the tip's footprint [m^2]; of a sphere its largest section."""
         if self.shape == "flat":
@@ -66,9 +71,7 @@ class Tip:
         touched area is about that of the disc"""
         grace = 1.0 + 1e-6
         if self.shape == "flat":
-            half = 0.5 * np.asarray(
-                self.size if lateral_offsets.shape[1] == len(self.size) else self.size[:1] * lateral_offsets.shape[1]
-            )
+            half = self.half if lateral_offsets.shape[1] == 2 else self.half[:1]
             return np.where((np.abs(lateral_offsets) <= half * grace).all(axis=1), 0.0, np.inf)
         radius, away = 0.5 * self.size[0], np.linalg.norm(lateral_offsets, axis=1)
         if self.shape == "disc":

@@ -54,8 +54,7 @@ class HalfSpace:
             within = 1.0 - np.sqrt(1.0 - share**2)
         down = np.where(radius < a, inner, outer)
         if tip.shape == "flat":
-            half = 0.5 * np.asarray(tip.size if len(tip.size) == 2 else tip.size * 2)
-            down = np.where((np.abs(aside) <= half * (1.0 + 1e-6)).all(axis=1), depth, down)
+            down = np.where((np.abs(aside) <= tip.half * (1.0 + 1e-6)).all(axis=1), depth, down)
         # Boussinesq: -(1 - 2 nu) P / (4 pi G r) with G = E* (1 - nu) / 2
         ratio = (1.0 - 2.0 * self.poisson) / (1.0 - self.poisson)
         inward = ratio * within * _response(tip, depth) / (2.0 * np.pi * radius)

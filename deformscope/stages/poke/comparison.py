@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deformscope.arrays import FloatArray, IntArray
+from deformscope.arrays import FloatArray
 from deformscope.stages.msm.poke import Poke
 from deformscope.stages.poke.fitted import FittedModel, Prediction, predict
 from deformscope.stages.poke.poke_fit import SeenPoke
@@ -75,16 +75,10 @@ def predict_seen(model: FittedModel, poke: SeenPoke, *, device: str = "cpu") -> 
     return prediction, moved, score_of("MSM", poke, moved, prediction.force)
 
 
-def _near(poke: SeenPoke) -> IntArray:
-    """(n,) points of a poke within `NEAR_M` of its tip, as seen from above."""
-    half = 0.5 * np.asarray(poke.tip.size if len(poke.tip.size) == 2 else poke.tip.size * 2)
-    away = np.maximum(np.abs(poke.points[:, :2] - poke.at[:2]) - half, 0.0)
-    return np.flatnonzero(np.linalg.norm(away, axis=1) <= NEAR_M + 1e-9)
-
-
 def score_of(method: str, poke: SeenPoke, moved: FloatArray, force: float | None) -> Score:
     """Errors of displacements (n, 3) of the points, and of a force, on a measured poke."""
-    near = _near(poke)
+    away = np.maximum(np.abs(poke.points[:, :2] - poke.at[:2]) - poke.tip.half, 0.0)  # seen from above
+    near = np.linalg.norm(away, axis=1) <= NEAR_M + 1e-9
     error = float(np.sqrt(np.mean(np.sum((moved - poke.moved)[near] ** 2, axis=1)))) / poke.depth
     off = None if force is None or poke.force is None else force / poke.force - 1.0
     return Score(method, error, force, off)

@@ -44,8 +44,7 @@ class ArmCompliance:
 
     compliance_m_per_n: tip behind where the arm says it is, for each newton; compliance_sd: its deviation [m/N];
     position_sd_m: scatter of the arm's position about it [m]; dome: dome of the tip itself, its dent under a rigid
-    block at 1 N, which grows with the power 2/3 of the force [m/N^(2/3)]: reported, but not subtracted from other dents
-    """
+    block at 1 N, which grows with the power 2/3 of the force [m/N^(2/3)]: reported, not subtracted from other dents"""
 
     compliance_m_per_n: float = 0.0
     compliance_sd: float = 0.0
@@ -135,7 +134,9 @@ def fit_approach(
     share = np.maximum(force[loaded], 0.0) / at_force
 
     prior, start_sd = EXPONENT[tip], max(arm.position_sd_m, 1e-6)
-    z0, depth = _straight(share ** (1.0 / prior), z, np.ones_like(z))
+    x = share ** (1.0 / prior)
+    depth = float(((x - x.mean()) * (z - z.mean())).sum() / max(((x - x.mean()) ** 2).sum(), 1e-18))
+    z0 = float(z.mean() - depth * x.mean())
     # how far the noise of the force moves a sample along the law
     steep = depth / prior * np.maximum(share, least_share) ** (1.0 / prior - 1.0) - arm.compliance_m_per_n * at_force
     sample_sd = np.hypot(start_sd, steep * noise / at_force)
@@ -240,20 +241,16 @@ def calibrate_compliance(
     (n, 3) [N], (3,).
 
     z = z0 + c F + d F^(2/3): the compliance of a force sensor's rubber dome (Hertz 1882) is not the arm's, if it is
-    DOME_SDS of its deviations or more.
-    """
+    DOME_SDS of its deviations or more."""
     depth_along, force = along_normal(time_s, position_m, force_n, normal)
     force, _, _, loaded = since_contact(force, set_force_n, None)
     z, f = depth_along[loaded], force[loaded]
     line = np.column_stack([np.ones_like(f), f])
     (_, slope), (_, slope_sd), scale = _huber(line, z)
-    (_, bent, dome), (_, bent_sd, dome_sd), dome_scale = _huber(
-        np.column_stack([line, np.maximum(f, 0.0) ** (1.0 / EXPONENT["sphere"])]), z
-    )
+    domed = np.column_stack([line, np.maximum(f, 0.0) ** (1.0 / EXPONENT["sphere"])])
+    (_, bent, dome), (_, bent_sd, dome_sd), dome_scale = _huber(domed, z)
     if dome > DOME_SDS * dome_sd and bent > -DOME_SDS * bent_sd:
-        return ArmCompliance(
-            compliance_m_per_n=max(bent, 0.0), compliance_sd=bent_sd, position_sd_m=dome_scale, dome=dome
-        )
+        return ArmCompliance(max(bent, 0.0), bent_sd, dome_scale, dome)
     return ArmCompliance(slope, slope_sd, scale)
 
 
@@ -286,12 +283,8 @@ def layer_modulus(
     chi = np.sqrt(radius_m * depth_m) / thickness_m
     alpha = -(1.2876 - 1.4678 * poisson + 1.3442 * poisson**2) / (1.0 - poisson)
     beta = (0.6387 - 1.0277 * poisson + 1.5164 * poisson**2) / (1.0 - poisson)
-    correction = (
-        1.0
-        - 2.0 * alpha / np.pi * chi
-        + 4.0 * alpha**2 / np.pi**2 * chi**2
-        - 8.0 / np.pi**3 * (alpha**3 + 4.0 * np.pi**2 / 15.0 * beta) * chi**3
-    )
+    third = 8.0 / np.pi**3 * (alpha**3 + 4.0 * np.pi**2 / 15.0 * beta)
+    correction = 1.0 - 2.0 * alpha / np.pi * chi + 4.0 * alpha**2 / np.pi**2 * chi**2 - third * chi**3
     return float(force_n / (hertz * correction))
 
 
@@ -338,14 +331,6 @@ def since_contact(
     loaded = np.zeros(len(force), dtype=bool)
     loaded[below[-1] + 1 if len(below) else 0 : peak_at + 1] = True
     if loaded.sum() < LEAST_SAMPLES:
-        raise InputError(
-            f"{LEAST_SAMPLES} samples or more between contact and the peak", f"{loaded.sum()}", "approach more slowly"
-        )
+        wanted = f"{LEAST_SAMPLES} samples or more between contact and the peak"
+        raise InputError(wanted, f"{loaded.sum()}", "approach more slowly")
     return force, noise, peak, loaded
-
-
-def _straight(x: FloatArray, y: FloatArray, weight: FloatArray) -> tuple[float, float]:
-    """Intercept and slope of the weighted line through (x, y)."""
-    middle_x, middle_y = np.average(x, weights=weight), np.average(y, weights=weight)
-    slope = float((weight * (x - middle_x) * (y - middle_y)).sum() / max((weight * (x - middle_x) ** 2).sum(), 1e-18))
-    return float(middle_y - slope * middle_x), slope

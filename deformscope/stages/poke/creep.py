@@ -17,8 +17,7 @@ after a time within the hold is always reported. Approach speed needs no correct
 force.
 
 The ball's retract does not follow this law (Ting 1966) and is not fitted. The energy loss of a cycle is the work of the
-measured forces on the approach less that on the retract.
-"""
+measured forces on the approach less that on the retract."""
 
 from __future__ import annotations
 
@@ -184,8 +183,7 @@ def fit_creep(
     force = force - (force[0] - zeroed[0])
     samples = CreepSamples.of(time_s, z_m, force, int(np.argmax(among)), loading, held)
     exponent = (EXPONENT["sphere"] + LAYERED, LAYERED_SD) if radius_m else (EXPONENT["sphere"], EXPONENT_SD)
-    law = CreepLaw(samples, exponent, set_force_n, arm, force_sd, radius_m)
-    draws = law.posterior()
+    draws = CreepLaw(samples, exponent, set_force_n, arm, force_sd, radius_m).posterior()
     held_s = float(time_s[held - 1] - time_s[loading - 1])
     seen = draws.seen(held_s)
     # without a reason, verdict and time are of what relaxes within the hold
@@ -195,11 +193,17 @@ def fit_creep(
     share = seen.share
     viscous = float(judged[share > ELASTIC_MOST].sum() / judged.sum())
     kept = _kept(draws, time_s, z_m, force, held, arm, force_sd)
-    slip = _slip(draws, z_m, force, position_m[:held], force_n[:held], normal, loading, arm, force_sd)
+    plane = np.linalg.svd((normal / np.linalg.norm(normal))[None])[2][1:]
+    across_n, unloaded = force_n[:held] @ plane.T, force[:loading] < LOADED * force.max()
+    if unloaded.any():
+        across_n = across_n - np.median(across_n[:loading][unloaded], axis=0)
+    few = draws.some(np.random.default_rng(0), KEPT_DRAWS)
+    dent_m = few.dents(z_m[:held], force[:held], arm).mean(axis=0)
+    slip = fit_slip(position_m[:held] @ plane.T, across_n, dent_m, force[:held], force_sd)
     plastic = None if kept is None else float((kept > KEPT_LEAST).mean())
     verdict, why = _verdict(viscous, plastic, slip)
     speed_m_s = float((z_m[loading - 1] - z_m[samples.first]) / (time_s[loading - 1] - time_s[samples.first]))
-    other_speed = _at_reference(draws, speed_m_s)
+    other_speed = _at_reference(few, speed_m_s)
     some = draws.some(np.random.default_rng(0), FORCE_DRAWS)
     at = slice(loading - 1, loading)
     approach_s = float(some.dents(z_m[at], force[at], arm).mean()) / max(speed_m_s, 1e-6)
@@ -256,10 +260,9 @@ def _relaxed(log: FloatArray, weight: FloatArray, seen: RelaxationSeen) -> dict[
     return dict(zip(names, (float(np.exp(middle)), interval, log_sd), strict=True))
 
 
-def _at_reference(draws: CreepDraws, speed_m_s: float) -> FloatArray:
+def _at_reference(some: CreepDraws, speed_m_s: float) -> FloatArray:
     """(d,) draws of the log ratio of the stiffness at the reference speed to that at this one: the branches' shares of
     the force while it rises as the p-th power of time."""
-    some = draws.some(np.random.default_rng(0), KEPT_DRAWS)
     gone = (np.arange(RAMP_STEPS) + 0.5) / RAMP_STEPS  # share of the way down
 
     def log_softer(speed: float) -> FloatArray:
@@ -306,28 +309,6 @@ def _kept(
         return None
     kept, sd = found
     return np.asarray(kept[:, None] + sd[:, None] * random.standard_normal((len(kept), KEPT_DRAWS))).ravel()
-
-
-def _slip(
-    draws: CreepDraws,
-    z_m: FloatArray,
-    force_along_n: FloatArray,
-    position_m: FloatArray,
-    force_n: FloatArray,
-    normal: FloatArray,
-    loading: int,
-    arm: ArmCompliance,
-    force_sd_n: float,
-) -> SlipFit:
-    """Whether the tip slid until its way back."""
-    held = len(position_m)
-    along = normal / np.linalg.norm(normal)
-    plane = np.linalg.svd(along[None])[2][1:]
-    across_n = force_n @ plane.T
-    free = force_along_n[:loading] < LOADED * force_along_n.max()
-    across_n = across_n - np.median(across_n[:loading][free], axis=0) if free.any() else across_n
-    dent_m = draws.some(np.random.default_rng(0), KEPT_DRAWS).dents(z_m[:held], force_along_n[:held], arm).mean(axis=0)
-    return fit_slip(position_m @ plane.T, across_n, dent_m, force_along_n[:held], force_sd_n)
 
 
 def cycle_loss(

@@ -120,9 +120,9 @@ class CreepLaw:
         self._spectra = spectra(max(loaded_s - begins_s, 1e-2), max(ends_s - loaded_s, 1e-2), MOST_BRANCHES)
         self._whitens = np.diag(1.0 / np.hypot(sd, LAW_OFF * depth_m))
         one = self._fitted(self._spectra[1]).likeliest()
-        self._log_felt, self._dent_m = (each[0] for each in self._dents(one, self._spectra[1])[:2])
+        self._log_force, self._dent_m = (each[0] for each in self._dents(one, self._spectra[1])[:2])
         drift_m = DRIFT_N_PER_S * (samples.time_s[fitted] - begins_s) * slope_m / set_force_n
-        self._off_m2 = self._dent_m * _off_together(self._log_felt, self._log_felt) * self._dent_m[:, None]
+        self._off_m2 = self._dent_m * _off_together(self._log_force, self._log_force) * self._dent_m[:, None]
         self._off_m2 += drift_m * drift_m[:, None]
         self._whitens = _whitening(sd, self._off_m2)
         # the arm may scatter more than stated
@@ -140,27 +140,19 @@ class CreepLaw:
 
     def _own(self, spectrum: Spectrum, drawn: FloatArray, random: np.random.Generator) -> FloatArray:
         """(5, d) the fields of `CreepDraws` alone, from parameters (d, k) of one spectrum."""
-        log_felt = np.log1p(spectrum.filters(drawn[:, SHAPE:])[0].sum(axis=1))
+        log_force = np.log1p(spectrum.filters(drawn[:, SHAPE:])[0].sum(axis=1))
         log_depth = self._log_dent(drawn, np.zeros(len(drawn)))
-        log_deeper = self._log_dent(drawn, log_felt) - log_depth + self._law_off(drawn, spectrum, log_felt, random)
-        return np.stack(
-            [
-                1e-3 * drawn[:, 0],
-                np.maximum(np.exp(log_depth), 1e-6),
-                log_deeper if spectrum.most else np.zeros(len(drawn)),
-                np.maximum(drawn[:, 2], LEAST_EXPONENT),
-                drawn[:, 4],
-            ]
-        )
-
-    def _law_off(
-        self, parameters: FloatArray, spectrum: Spectrum, log_felt: FloatArray, random: np.random.Generator
-    ) -> FloatArray:
-        """(d,) draws of the law's error at a log force (d,), given its errors in the samples."""
-        shared = (_off_together(log_felt, self._log_felt) * self._dent_m) @ self._whitens.T
-        mean = (shared * self._off(parameters, spectrum)).sum(axis=1)
-        variance = _off_variance(log_felt) - (shared**2).sum(axis=1)
-        return np.asarray(mean + np.sqrt(np.maximum(variance, 0.0)) * random.standard_normal(len(log_felt)))
+        # the law's error at that force, given its errors in the samples
+        shared = (_off_together(log_force, self._log_force) * self._dent_m) @ self._whitens.T
+        mean = (shared * self._off(drawn, spectrum)).sum(axis=1)
+        high = np.exp(-LAW_RISE * log_force)  # the diagonal of `_off_together`
+        variance = LAW_OFF**2 * (1.0 + high**2 - 2.0 * high * correlation("gaussian", log_force / LAW_LENGTH))
+        variance -= (shared**2).sum(axis=1)
+        law_off = mean + np.sqrt(np.maximum(variance, 0.0)) * random.standard_normal(len(log_force))
+        log_deeper = self._log_dent(drawn, log_force) - log_depth + law_off
+        deeper = log_deeper if spectrum.most else np.zeros(len(drawn))
+        exponent, dent_m = np.maximum(drawn[:, 2], LEAST_EXPONENT), np.maximum(np.exp(log_depth), 1e-6)
+        return np.stack([1e-3 * drawn[:, 0], dent_m, deeper, exponent, drawn[:, 4]])
 
     def _fitted(self, spectrum: Spectrum) -> DrawnModel:
         """One spectrum with all choices of its nodes, as it is fitted."""
@@ -182,49 +174,36 @@ class CreepLaw:
 
     def _jacobian(self, parameters: FloatArray, spectrum: Spectrum) -> tuple[FloatArray, FloatArray]:
         """(d, m) of `_off`, and its derivatives (d, k, m)."""
-        log_felt, dent_m, added = self._dents(parameters, spectrum)
+        log_force, dent_m, added = self._dents(parameters, spectrum)
         _, _, exponent, bend = (one[:, None] for one in parameters.T[: SHAPE - 1])
-        by_log = (
-            dent_m
-            if self._ball is None
-            else dent_m * np.interp(self._straight(parameters[:, None], log_felt), *self._ball_slope())
-        )
-        by_felt = by_log * (1.0 / exponent + 2.0 * bend * log_felt) / np.exp(log_felt)
-        shape = np.stack(
-            [
-                np.full_like(dent_m, 1e-3),
-                by_log,
-                -by_log * log_felt / exponent**2,
-                by_log * log_felt**2,
-                np.broadcast_to(self._bent_m, dent_m.shape),
-            ],
-            axis=1,
-        )
+        by_log = dent_m
+        if self._ball is not None:  # by its slopes, in the middle between its values
+            paraboloid, ball = self._ball
+            middle, slope = 0.5 * (paraboloid[1:] + paraboloid[:-1]), np.diff(ball) / np.diff(paraboloid)
+            by_log = dent_m * np.interp(self._straight(parameters[:, None], log_force), middle, slope)
+        by_force = by_log * (1.0 / exponent + 2.0 * bend * log_force) / np.exp(log_force)
+        start, bent = np.full_like(dent_m, 1e-3), np.broadcast_to(self._bent_m, dent_m.shape)
+        shape = np.stack([start, by_log, -by_log * log_force / exponent**2, by_log * log_force**2, bent], axis=1)
         away = self._z - 1e-3 * parameters[:, :1] - dent_m - parameters[:, 4:5] * self._bent_m
-        moved = np.concatenate([-shape, -by_felt[:, None] * added], axis=1)
+        moved = np.concatenate([-shape, -by_force[:, None] * added], axis=1)
         return away @ self._whitens.T, moved @ self._whitens.T
-
-    def _ball_slope(self) -> tuple[FloatArray, FloatArray]:
-        """The slopes of `_ball`, in the middle between its values."""
-        paraboloid, ball = self._ball or (np.arange(2.0), np.arange(2.0))
-        return 0.5 * (paraboloid[1:] + paraboloid[:-1]), np.diff(ball) / np.diff(paraboloid)
 
     def _dents(self, parameters: FloatArray, spectrum: Spectrum) -> tuple[FloatArray, FloatArray, FloatArray]:
         """(d, m) log of the force that would make each sample's dent at once, over the set force; that dent [m]; and
         the derivatives of that force (d, k, m)."""
         more, by_parameter = spectrum.felt(parameters[:, SHAPE:], self._filtered)
-        log_felt = np.log(np.maximum(self._share + more, LEAST_SHARE))
-        return log_felt, np.exp(self._log_dent(parameters[:, None], log_felt)), by_parameter
+        log_force = np.log(np.maximum(self._share + more, LEAST_SHARE))
+        return log_force, np.exp(self._log_dent(parameters[:, None], log_force)), by_parameter
 
-    def _straight(self, parameters: FloatArray, log_felt: FloatArray) -> FloatArray:
+    def _straight(self, parameters: FloatArray, log_force: FloatArray) -> FloatArray:
         """(...,) as `_log_dent`, of a paraboloid."""
         _, log_depth, exponent, bend = np.moveaxis(parameters[..., : SHAPE - 1], -1, 0)
-        log_dent = log_depth + log_felt / np.maximum(exponent, LEAST_EXPONENT) + bend * log_felt**2
+        log_dent = log_depth + log_force / np.maximum(exponent, LEAST_EXPONENT) + bend * log_force**2
         return np.asarray(np.clip(log_dent, -LARGEST_LOG, LARGEST_LOG))
 
-    def _log_dent(self, parameters: FloatArray, log_felt: FloatArray) -> FloatArray:
+    def _log_dent(self, parameters: FloatArray, log_force: FloatArray) -> FloatArray:
         """(...,) log of the dent [m] at a log force (...,) over the set force, of parameters (..., k)."""
-        log_dent = self._straight(parameters, log_felt)
+        log_dent = self._straight(parameters, log_force)
         return np.asarray(log_dent if self._ball is None else np.interp(log_dent, *self._ball))
 
 
@@ -246,12 +225,6 @@ def _off_together(one: FloatArray, other: FloatArray) -> FloatArray:
 
     at = np.zeros(1)
     return np.asarray(g(one, other) - g(one, at) - g(at, other) + g(at, at))
-
-
-def _off_variance(one: FloatArray) -> FloatArray:
-    """(a,) as the diagonal of `_off_together`."""
-    high = np.exp(-LAW_RISE * one)
-    return np.asarray(LAW_OFF**2 * (1.0 + high**2 - 2.0 * high * correlation("gaussian", one / LAW_LENGTH)))
 
 
 def _whitening(sd_m: FloatArray, together_m2: FloatArray) -> FloatArray:

@@ -45,7 +45,7 @@ class DentResidual:
 
     def at(self, points: FloatArray, middle: FloatArray, tip: Tip, depth: float) -> FloatArray:
         """(n, 3) [m] at points of the surface (n, 3) around a tip at `middle` (2,)."""
-        away, basis = _beside(points, middle, tip, self.thickness)
+        away, basis = _around(points, middle, tip, self.thickness)
         return depth * np.column_stack([away * (basis @ self.outward)[:, None], basis @ self.upward])
 
 
@@ -58,7 +58,7 @@ def residual_of(seen: Sequence[SurfaceLeft], thickness: float) -> DentResidual |
     gram, right = np.zeros((len(DISTANCES),) * 2), np.zeros((len(DISTANCES), 2))
     square, count = 0.0, 0
     for one in seen:
-        away, basis = _beside(one.points, one.middle, one.tip, thickness)
+        away, basis = _around(one.points, one.middle, one.tip, thickness)
         share = one.left / one.depth
         gram += basis.T @ basis
         right += basis.T @ np.column_stack([(share[:, :2] * away).sum(axis=1), share[:, 2]])
@@ -68,13 +68,12 @@ def residual_of(seen: Sequence[SurfaceLeft], thickness: float) -> DentResidual |
     return DentResidual(found[:, 0], found[:, 1], thickness)
 
 
-def _beside(points: FloatArray, middle: FloatArray, tip: Tip, thickness: float) -> tuple[FloatArray, FloatArray]:
+def _around(points: FloatArray, middle: FloatArray, tip: Tip, thickness: float) -> tuple[FloatArray, FloatArray]:
     """Unit vectors (n, 2) away from the tip's middle, and the share (n, k) that each distance has of a point's."""
     aside = points[:, :2] - middle
     radius = np.linalg.norm(aside, axis=1)
     if tip.shape == "flat":
-        half = 0.5 * np.asarray(tip.size if len(tip.size) == 2 else tip.size * 2)
-        distance = np.linalg.norm(np.maximum(np.abs(aside) - half, 0.0), axis=1)
+        distance = np.linalg.norm(np.maximum(np.abs(aside) - tip.half, 0.0), axis=1)
     else:
         distance = np.maximum(radius - 0.5 * tip.size[0], 0.0)
     share = distance / thickness

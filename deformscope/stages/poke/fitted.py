@@ -112,8 +112,8 @@ class FittedModel:
             found.append(f"{share:.0%} of the thickness deep, where materials stiffen more than the model")
         return tuple(found)
 
-    def stiffness_at(self, poke: Poke, spacing: float, extra: float = 0.0) -> MetStiffness | None:
-        """k [N/m] of a lattice of this spacing under a poke; None without a measured force.
+    def stiffness_at(self, poke: Poke, spacing: float, extra: float = 0.0) -> tuple[float, tuple[float, float]] | None:
+        """k [N/m] of a lattice of this spacing under a poke, median and 90 % interval; None without a measured force.
 
         A finer lattice of the same material has a k that is smaller in proportion (in the plane: the same).
         extra: deviation of log stiffness for other reasons than the place"""
@@ -122,7 +122,7 @@ class FittedModel:
         place, finer = self._across(poke.at[None]), float(spacing / self.spacing) ** (self.dim - 2)
         contact = CONTACT * poke.tip.width
         low, high = self.between.interval(place, contact_m=contact, extra=extra)[0] * finer
-        return MetStiffness(float(self.between.at(place, contact)[0]) * finer, (float(low), float(high)))
+        return float(self.between.at(place, contact)[0]) * finer, (float(low), float(high))
 
     @cached_property
     def between(self) -> StiffnessField | None:
@@ -143,14 +143,6 @@ class FittedModel:
         other = 0.0 if self.tip is None else abs(np.log2(np.sqrt(tip.area / self.tip.area)))
         deeper = np.log2(depth / self.fitted_depth) if depth > self.fitted_depth else 0.0
         return float(np.hypot(max(TIP_SHARE * other, rivals), DEPTH_SHARE * deeper))
-
-
-@dataclass(frozen=True, slots=True)
-class MetStiffness:
-    """Stiffness under a poke: median and 90 % interval [N/m]."""
-
-    value: float
-    interval: tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,19 +194,16 @@ def predict(model: FittedModel, poke: Poke, *, precision: Precision = "float32",
     check_poke(model.rest, room, poke.depth or 0.0, poke.tip.width)
     scene, layers = scene_of(model, model.law, poke)
     known = model.stiffness_at(poke, scene.spacing)
-    k = None if known is None else known.value
+    k = None if known is None else known[0]
     if poke.force is not None and k is None:
         raise InputError("a depth", "a force, but the model has no stiffness", "fit it with force_n in a pair file")
     found = press(scene, model.law, poke, stiffness=k, deepest=room, precision=precision, device=device)
     if found.depth >= room:
-        raise InputError(
-            f"a force that the {1e3 * room:.3g} mm of material under the tip can bear",
-            f"{poke.force:g} N, which would press the tip through",
-            "a smaller force",
-        )
+        wanted = f"a force that the {1e3 * room:.3g} mm of material under the tip can bear"
+        raise InputError(wanted, f"{poke.force:g} N, which would press the tip through", "a smaller force")
     rivals = 0.0 if k is None else _rival_deviation(model, poke, found, precision, device)
     deviation = model.transfer_deviation(poke.tip, found.depth, rivals)
-    met = model.stiffness_at(poke, scene.spacing, deviation)
+    here = model.stiffness_at(poke, scene.spacing, deviation)
     error = model.held_out if np.isfinite(model.held_out) else model.surface_error
     return Prediction(
         poke=poke,
@@ -224,7 +213,7 @@ def predict(model: FittedModel, poke: Poke, *, precision: Precision = "float32",
         touched=found.touched,
         depth=found.depth,
         force=None if k is None else k * found.reaction,
-        force_interval=None if met is None else (met.interval[0] * found.reaction, met.interval[1] * found.reaction),
+        force_interval=None if here is None else (here[1][0] * found.reaction, here[1][1] * found.reaction),
         force_deviation=deviation,
         stiffness=k,
         surface_error=error * found.depth,
@@ -255,10 +244,8 @@ def scene_of(model: FittedModel, law: Law, poke: Poke) -> tuple[PokeSetup, Layer
         fine = min(model.spacing, poke.tip.width / CELLS_ACROSS_TIP)
         if poke.tip.shape == "sphere":
             fine = min(model.spacing, poke.tip.width / (2 * CELLS_ACROSS_TIP))
-        scene, layers = scene_below(
-            MeasuredSurface(model.rest, model.thickness), poke.at, poke.tip, fine, law.cluster_size
-        )
-        return scene, layers
+        surface = MeasuredSurface(model.rest, model.thickness)
+        return scene_below(surface, poke.at, poke.tip, fine, law.cluster_size)
     return particle_scene(model, law), None
 
 
@@ -326,6 +313,4 @@ def particle_scene(model: FittedModel, law: Law) -> PokeSetup:
     covered[pairs[stacked & (along > 0.3 * gap), 1]] = True
     covered[pairs[stacked & (along < -0.3 * gap), 0]] = True
     covered[model.fixed] = True
-    return PokeSetup(
-        rest=rest, clusters=grouped, fixed=model.fixed, open=np.flatnonzero(~covered), toward=model.toward, spacing=gap
-    )
+    return PokeSetup(rest, grouped, model.fixed, np.flatnonzero(~covered), model.toward, spacing=gap)

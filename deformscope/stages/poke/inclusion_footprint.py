@@ -10,8 +10,7 @@ its response to a uniform strain. Eshelby (1957) gives the response of a ball wi
 - 1) / (1 + (c - 1) / 2) of c times the modulus; a rigid one 2, a hole -2.
 
 Therefore inclusion, depth and contact determine its width, and only the constant CALIBRATED is fitted.
-Not modelled: the strain is not uniform over the inclusion, and the foam is no half-space.
-"""
+Not modelled: the strain is not uniform over the inclusion, and the foam is no half-space."""
 
 from __future__ import annotations
 
@@ -107,15 +106,10 @@ def _energy_table() -> tuple[FloatArray, FloatArray]:
     outward = held / (far * (far + down)) - 3.0 * down * away2 / far**5
     around = -held * (1.0 / (far * (far + down)) - down / far**3)
     cosine, sine = x / np.sqrt(away2), y / np.sqrt(away2)
-    stress = [
-        outward * cosine**2 + around * sine**2,
-        outward * sine**2 + around * cosine**2,
-        -3.0 * down**3 / far**5,
-        (outward - around) * cosine * sine,
-        -3.0 * np.sqrt(away2) * down**2 / far**5 * cosine,
-        -3.0 * np.sqrt(away2) * down**2 / far**5 * sine,
-    ]
-    xx, yy, zz, xy, xz, yz = (one.mean(axis=-1) / (2.0 * np.pi) for one in stress)
+    normal = (outward * cosine**2 + around * sine**2, outward * sine**2 + around * cosine**2, -3.0 * down**3 / far**5)
+    sheared = -3.0 * np.sqrt(away2) * down**2 / far**5
+    shear = ((outward - around) * cosine * sine, sheared * cosine, sheared * sine)
+    xx, yy, zz, xy, xz, yz = (one.mean(axis=-1) / (2.0 * np.pi) for one in (*normal, *shear))
     squares = xx**2 + yy**2 + zz**2 + 2.0 * (xy**2 + xz**2 + yz**2)
     twice = (1.0 + POISSON) * squares - POISSON * (xx + yy + zz) ** 2
     dent = 0.75 * (1.0 - POISSON**2)

@@ -33,14 +33,8 @@ def law_response() -> tuple[FloatArray, FloatArray]:
     exponent = EXPONENT["sphere"]
     depth = np.linspace(LEAST_SHARE ** (1.0 / exponent), 1.0, SAMPLES)
     contact = depth ** (exponent / 3.0)
-    nodes = np.array(CONTACTS)
-    between = np.column_stack(
-        [np.prod((contact[:, None] - others) / (one - others), axis=1) for one, others in _with_others(nodes)]
-    )
+    others = [(one, np.delete(CONTACTS, number)) for number, one in enumerate(CONTACTS)]
+    between = np.column_stack([np.prod((contact[:, None] - rest) / (one - rest), axis=1) for one, rest in others])
     moved = -depth[:, None] * between
     law = np.column_stack([np.ones_like(depth), depth, -depth * np.log(depth) / exponent])
     return -np.linalg.lstsq(law[:, :2], moved)[0][1], np.linalg.lstsq(law, moved)[0][2]
-
-
-def _with_others(nodes: FloatArray) -> list[tuple[float, FloatArray]]:
-    return [(float(one), np.delete(nodes, number)) for number, one in enumerate(nodes)]

@@ -64,9 +64,7 @@ def known_layer(height_m: FloatArray, table: TableSeen | None, *, stated_m: floa
     thickness_m = 0.0 if table is None else mean_m - table.height_m
     if table is None or thickness_m <= 2.0 * table.sd_m:
         return KnownLayer(None)
-    return KnownLayer(
-        thickness_m=thickness_m, sd_m=table.sd_m, table_m=table.height_m, uneven=range_m > UNEVEN * thickness_m
-    )
+    return KnownLayer(thickness_m, table.sd_m, table.height_m, uneven=range_m > UNEVEN * thickness_m)
 
 
 @dataclass(frozen=True, slots=True)

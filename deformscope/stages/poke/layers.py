@@ -40,9 +40,7 @@ class MeasuredSurface:
         if not np.isfinite(self.points).all():
             raise InputError("finite surface points", "NaN or infinity", "drop those points")
         if not (np.isfinite(self.thickness) and self.thickness > 0.0):
-            raise InputError(
-                "a thickness above 0", f"{self.thickness:g}", "the depth of material below the surface [m]"
-            )
+            raise InputError("a thickness above 0", f"{self.thickness:g}", "the material's depth [m]")
         flat = np.sort(np.linalg.svd(self.points[:, :2] - self.points[:, :2].mean(axis=0), compute_uv=False))
         if flat[0] <= 1e-3 * flat[-1]:
             raise InputError("surface points that cover an area seen from above", "points above one line")
@@ -55,31 +53,18 @@ class MeasuredSurface:
         return spacing(self.points[:, :2])
 
     @functools.cached_property
-    def _plane(self) -> tuple[FloatArray, float]:
-        """(3,) coefficients of z = a x + b y + c fitted to the points, and their root mean square distance from it
-        along z, in their unit."""
-        ones = np.ones((len(self.points), 1))
-        found, *_ = np.linalg.lstsq(np.hstack([self.points[:, :2], ones]), self.points[:, 2], rcond=None)
-        left = self.points[:, 2] - self.points[:, :2] @ found[:2] - found[2]
-        return found, float(np.sqrt(np.mean(left**2)))
-
-    @functools.cached_property
     def _hull(self) -> Delaunay:
         return Delaunay(self.points[:, :2])
 
-    @functools.cached_property
-    def _heights(self) -> tuple[LinearNDInterpolator, NearestNDInterpolator]:
-        inside = LinearNDInterpolator(self._hull, self.points[:, 2])
-        return inside, NearestNDInterpolator(self.points[:, :2], self.points[:, 2])
-
     def height(self, place: FloatArray, lattice_spacing: float) -> FloatArray:
         """Height [m] above each place (m, 2): of the plane where the surface is one, else between the points."""
-        plane, off = self._plane
-        if off <= FLAT_SHARE * lattice_spacing:
+        ones = np.ones((len(self.points), 1))
+        plane, *_ = np.linalg.lstsq(np.hstack([self.points[:, :2], ones]), self.points[:, 2], rcond=None)
+        off = self.points[:, 2] - self.points[:, :2] @ plane[:2] - plane[2]
+        if float(np.sqrt(np.mean(off**2))) <= FLAT_SHARE * lattice_spacing:
             return np.asarray(place @ plane[:2] + plane[2])
-        inside, outside = self._heights
-        found = np.asarray(inside(place))
-        return np.where(np.isnan(found), outside(place), found)
+        found = np.asarray(LinearNDInterpolator(self._hull, self.points[:, 2])(place))
+        return np.where(np.isnan(found), NearestNDInterpolator(self.points[:, :2], self.points[:, 2])(place), found)
 
     def covers(self, place: FloatArray) -> BoolArray:
         """Whether each place (m, 2) lies above the surface, up to rounding."""
@@ -123,7 +108,7 @@ class Layers:
         low = np.floor(across + 1e-9).astype(np.int64)
         share = np.clip(across - low, 0.0, 1.0)
         if edge is not None:
-            share = self._beside(edge, low, share)
+            share = self._steepened(edge, low, share)
         particle = np.full(self.shape, -1, dtype=np.int64)
         particle.reshape(-1)[self.cell] = np.arange(len(self.cell))
         upper = particle[:, :, -1]
@@ -144,14 +129,14 @@ class Layers:
         entries = (np.concatenate(weights), (np.concatenate(rows), np.concatenate(columns)))
         return csr_array(entries, shape=(len(low), len(self.rest))), inside
 
-    def _beside(self, edge: FlatEdge, low: IntArray, share: FloatArray) -> FloatArray:
+    def _steepened(self, edge: FlatEdge, low: IntArray, share: FloatArray) -> FloatArray:
         """Shares (m, 2) of the way across cells (m, 2), those that the tip's edge crosses stretched."""
         middle, half = ((value / self.spacing) for value in (edge.middle - self.origin, edge.half * (1.0 + 1e-6)))
         first = low - middle  # of the cell, from the tip's middle
-        beside = np.abs(first + share) <= half + 1.0
+        near_edge = np.abs(first + share) <= half + 1.0
         found = share.copy()
         for axis in range(2):
-            here = beside[:, 1 - axis]
+            here = near_edge[:, 1 - axis]
             for sign in (1.0, -1.0):  # on the far side as on the near one, looked at in a mirror
                 near = first[:, axis] if sign > 0.0 else -first[:, axis] - 1.0
                 crossed = here & (near <= half[axis]) & (near + 1.0 > half[axis])
@@ -174,20 +159,15 @@ def below(
     at = low if centre is None else np.asarray(centre, dtype=np.float64)
     far = np.inf if reach is None else reach
     if ((at < low - spacing) | (at > high + spacing)).any():
-        raise InputError(
-            f"a place within ({low[0]:.3g}, {low[1]:.3g}) to ({high[0]:.3g}, {high[1]:.3g}) m",
-            f"({at[0]:.3g}, {at[1]:.3g})",
-            "a place on the surface",
-        )
+        wanted = f"a place within ({low[0]:.3g}, {low[1]:.3g}) to ({high[0]:.3g}, {high[1]:.3g}) m"
+        raise InputError(wanted, f"({at[0]:.3g}, {at[1]:.3g})", "a place on the surface")
     first = np.ceil((np.maximum(low, at - far) - at) / spacing - 1e-6).astype(np.int64)
     last = np.floor((np.minimum(high, at + far) - at) / spacing + 1e-6).astype(np.int64)
     count = last - first + 1
     if (count < 2).any():
-        raise InputError(
-            "a surface of at least two lattice spacings a side",
-            f"{np.ptp(surface.points[:, 0]):g} x {np.ptp(surface.points[:, 1]):g} m at a spacing of {spacing:g} m",
-            "a smaller --spacing-m, or a place on the surface",
-        )
+        wide, long = np.ptp(surface.points[:, :2], axis=0)
+        wanted, came = "a surface of two lattice spacings a side", f"{wide:g} x {long:g} m, spaced by {spacing:g} m"
+        raise InputError(wanted, came, "a smaller --spacing-m, or a place on the surface")
     axes = [at[i] + spacing * np.arange(first[i], last[i] + 1) for i in range(2)]
     place = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
     layers = max(FEWEST_LAYERS, round(surface.thickness / spacing) + 1)

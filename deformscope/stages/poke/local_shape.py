@@ -74,37 +74,33 @@ class ShapeShift:
     exponent: float = 0.0
 
 
-def shape_shift(
-    shape: LocalShape, depth_m: float, *, reference_m: float, radius_m: float = 0.01, poisson: float = 0.3
-) -> ShapeShift:
+def shape_shift(shape: LocalShape, depth_m: float, *, reference_m: float, radius_m: float = 0.01) -> ShapeShift:
     """Addition of a level, wide layer of the reference thickness [m] to a touch's log stiffness at its force. depth_m:
     depth of the dent at the force at which stiffness is taken [m]; radius_m: radius of the ball"""
     if not (depth_m > 0.0 and reference_m > 0.0 and radius_m > 0.0):
         raise InputError("depth, reference thickness and radius above 0 m", f"{depth_m}, {reference_m}, {radius_m}")
-    thickness = _thickness_log(shape.thickness_m, depth_m, reference_m, radius_m, poisson)
+    thickness = _thickness_log(shape.thickness_m, depth_m, reference_m, radius_m)
     relative = max(1.0 + radius_m * shape.curvature_per_m, LEAST_RELATIVE)
     curved, inclined = CURVED * float(np.log(relative)), -INCLINED * shape.slope**2
     length_m = EDGE_LENGTH * float(np.sqrt(shape.thickness_m * np.sqrt(radius_m * depth_m)))
     edge = EDGE * float(np.exp(-shape.edge_m / length_m))
-    thicker = _thickness_log(shape.thickness_m + shape.thickness_sd_m, depth_m, reference_m, radius_m, poisson)
+    thicker = _thickness_log(shape.thickness_m + shape.thickness_sd_m, depth_m, reference_m, radius_m)
     sds = [DOUBT * part for part in (thickness, curved, inclined, edge)] + [thicker - thickness]
     return ShapeShift(thickness + curved + inclined + edge, float(np.linalg.norm(sds)), EDGE_BENDS * edge)
 
 
-def _thickness_log(thickness_m: float, depth_m: float, reference_m: float, radius_m: float, poisson: float) -> float:
+def _thickness_log(thickness_m: float, depth_m: float, reference_m: float, radius_m: float) -> float:
     """Log of this depth over that which the same force makes on the reference layer of the same modulus."""
 
     def modulus_log(log_depth: float, layer_m: float) -> float:
         depth = float(np.exp(log_depth))
-        return float(np.log(layer_modulus(depth, 1.0, radius_m=radius_m, thickness_m=layer_m, poisson=poisson)))
+        return float(np.log(layer_modulus(depth, 1.0, radius_m=radius_m, thickness_m=layer_m)))
 
     here, wanted = float(np.log(depth_m)), modulus_log(float(np.log(depth_m)), thickness_m)
     if thickness_m == reference_m:
         return 0.0
-    there = scipy.optimize.brentq(
-        lambda log_depth: modulus_log(log_depth, reference_m) - wanted, here - MOST_SHIFT, here + MOST_SHIFT, xtol=1e-9
-    )
-    return here - float(there)
+    ends = here - MOST_SHIFT, here + MOST_SHIFT
+    return here - float(scipy.optimize.brentq(lambda there: modulus_log(there, reference_m) - wanted, *ends, xtol=1e-9))
 
 
 def shape_of(height_m: FloatArray, deviation_m: FloatArray, step_m: float, edge_m: float, least_m: float) -> LocalShape:

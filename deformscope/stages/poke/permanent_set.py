@@ -6,8 +6,7 @@ A ball that goes back leaves a viscoelastic foam where
 
 its dent d being shallower by the relaxed part. While force is left, F^(1/p) is about linear in H; the line through the
 retract, extrapolated to F = 0, gives the H of the release. For foam with a permanent share s of every dent it is s
-times the part of the approach in H; for all other foam it is 0.
-"""
+times the part of the approach in H; for all other foam it is 0."""
 
 from __future__ import annotations
 
@@ -54,8 +53,8 @@ def kept_share(
     left += (1.0 - share.sum(axis=1))[:, None, None]
     for one, relaxed_s in zip(share.T, relaxation_s.T, strict=True):
         left += one[:, None, None] * np.exp(-np.maximum(gone_s, 0.0) / relaxed_s[:, None, None])
-    felt = np.where(gone_s > 0.0, left, 0.0) * moved_m[:, None]
-    whole, way_in = felt.sum(axis=2), felt[:, :, : held - 1].sum(axis=2)
+    each = np.where(gone_s > 0.0, left, 0.0) * moved_m[:, None]
+    whole, way_in = each.sum(axis=2), each[:, :, : held - 1].sum(axis=2)
     rooted = np.maximum(force_n[back] / peak, 0.0) ** (1.0 / exponent[:, None])
     # H over F^(1/p): places scatter, forces hardly
     middle, spread = rooted.mean(axis=1, keepdims=True), whole.mean(axis=1)

@@ -46,7 +46,7 @@ FINE, THETAS = 161, 21
 """Values of -log(1 - beta) and of theta at which the posterior is taken."""
 
 THETA_STEP = 0.05
-FELT = 0.1
+LEAST_AFFECTED = 0.1
 """The least beta at which theta's effect is evaluated: it is proportional to beta, and near 0 only rounding remains."""
 
 NUMERICS = 1e-3
@@ -110,19 +110,9 @@ class PokesResult:
                     half_space(poke.tip, poke.depth, poke.force).modulus,
                     continuum(self.fit.best.law, k_here, self.fit.spacing)[0],
                 )
-            rows.append(
-                PokeRow(
-                    xy_m=(float(poke.at[0]), float(poke.at[1])),
-                    tip=poke.tip,
-                    depth_m=poke.depth,
-                    force_n=poke.force,
-                    stiffness_n_per_m=k_here,
-                    apparent_modulus_pa=modulus,
-                    left_out_error=_known(left_out.get(index)),
-                    surface_error=_known(error.get(index)),
-                    surface_error_held_out=_known(held_out.get(index)),
-                )
-            )
+            errors = (_known(each.get(index)) for each in (left_out, error, held_out))
+            xy_m = float(poke.at[0]), float(poke.at[1])
+            rows.append(PokeRow(xy_m, poke.tip, poke.depth, poke.force, k_here, modulus, *errors))
         return rows
 
     def tried_json(self) -> list[dict[str, object]]:
@@ -164,8 +154,7 @@ def conclude(
 ) -> PokesResult:
     """The estimate of beta, whose interval allows for theta, noise and misfit, and the model.
 
-    The misfit of several pokes is of one kind and does not average out: their likelihoods are averaged, not multiplied.
-    """
+    The misfit of several pokes is of one kind and does not average out: likelihoods are averaged, not multiplied."""
     best = fit.best
     bounds = fit.beta_range
     profile = Profile(fit)
@@ -174,9 +163,8 @@ def conclude(
     comparisons = tuple(_comparison(one, best.law) for one in fit.posed)
     free = [np.setdiff1d(np.flatnonzero(c.seen), c.held) for c in comparisons]
     every = np.concatenate([distances(c.simulated, c.observed)[c.seen] for c in comparisons])
-    apart = np.concatenate(
-        [distances(c.simulated, c.observed)[some] for c, some in zip(comparisons, free, strict=True)]
-    )
+    pairs = zip(comparisons, free, strict=True)
+    apart = np.concatenate([distances(c.simulated, c.observed)[some] for c, some in pairs])
     left = float(sum(np.sum(one.residual(one.settle([best.law])) ** 2) for one in fit.posed))
     moved = float(sum(np.sum(one.weighed(one.poke.moved) ** 2) for one in fit.posed))
     misfit = float(np.sqrt(np.mean(best.surface_error**2))) * float(np.mean([poke.depth for poke in fit.pokes]))
@@ -186,9 +174,9 @@ def conclude(
         deviation=posterior.deviation(),
         misfit=misfit / np.sqrt(fit.pokes[0].components),
     )
-    numbers = found_in_numbers("beta", best.law.beta, ends, bounds, identified, converged=best.converged)
-    reasons = ordered(numbers)
+    reasons = ordered(found_in_numbers("beta", best.law.beta, ends, bounds, identified, converged=best.converged))
     k = _stiffness(fit, profile, posterior, level)
+    force, depth = (np.array(each) for each in zip(*((one.force or 0.0, one.depth) for one in fit.pokes), strict=True))
     model = model_of(fit, provenance)
     estimate = Estimate(
         parameter="beta",
@@ -217,7 +205,7 @@ def conclude(
             **settings,
         },
         stiffness=k,
-        contact_stiffness=_contact_stiffness(fit, level),
+        contact_stiffness=secant(force, depth, FORCE_SHARE * force, np.zeros(len(force)), level),
         metres_per_unit=1.0,
         posterior=posterior,
         identifiability=identified,
@@ -247,8 +235,8 @@ class Profile:
             if taken != end and self.errors.mean(axis=1)[place] < CLEAR * self.errors.mean(axis=1).min():
                 self._take(np.linspace(taken, end, BEYOND + 1)[1:])
         self.aee = self.errors.mean(axis=1)
-        self.felt = max(law.beta, min(FELT, fit.beta_range[1]))
-        slopes = fit.theta_fitted and self.felt > 0.0
+        self.affected = max(law.beta, min(LEAST_AFFECTED, fit.beta_range[1]))
+        slopes = fit.theta_fitted and self.affected > 0.0
         self.by_theta = [self._slope(one, law) for one in fit.posed] if slopes else None
 
     @property
@@ -276,9 +264,9 @@ class Profile:
         self.errors = np.concatenate([self.errors, np.stack(errors, axis=1)])[order]
 
     def _slope(self, one: PosedPoke, law: Law) -> FloatArray:
-        """Change of the residual near a poke by theta, at the beta `felt`, (n, 3) [m]."""
+        """Change of the residual near a poke by theta, at the beta `affected`, (n, 3) [m]."""
         step = THETA_STEP if law.theta < 0.5 else -THETA_STEP
-        law = dataclasses.replace(law, beta=self.felt)
+        law = dataclasses.replace(law, beta=self.affected)
         one.settle([self.fit.best.law])
         here, there = one.residual(one.settle([law, dataclasses.replace(law, theta=law.theta + step)]))
         return np.asarray((there - here) * one.poke.depth / step)
@@ -288,8 +276,7 @@ class Profile:
         from the least.
 
         The residual of the best law is misfit more than noise, and points of a surface share it. The number of
-        independent points is that of patches of the size of the tip. Several pokes share it too: they count as one.
-        """
+        independent points is that of patches of the size of the tip. Several pokes share it too: they count as one."""
         fine = np.linspace(self.stretched[0], self.stretched[-1], FINE)
         beta, law = beta_of(fine, self.fit.beta_range), self.fit.best.law
         thetas = np.linspace(0.0, 1.0, THETAS) if self.by_theta is not None else np.array([law.theta])
@@ -302,7 +289,7 @@ class Profile:
             for row, theta in enumerate(thetas):
                 shifted = along
                 if self.by_theta is not None:
-                    share = (beta / self.felt)[:, None, None]  # at beta = 0 theta does nothing
+                    share = (beta / self.affected)[:, None, None]  # at beta = 0 theta does nothing
                     shifted = along + share * (theta - law.theta) * self.by_theta[place]
                 squares[row] += np.mean(np.sum(shifted**2, axis=2), axis=1) / one.poke.depth**2
         squares += NUMERICS**2
@@ -342,27 +329,12 @@ def _stiffness(
     return value, (value * low * float(np.exp(-wide)), value * high * float(np.exp(wide)))
 
 
-def _contact_stiffness(fit: PokesFit, level: float) -> tuple[float, tuple[float, float]] | None:
-    """Force over the depth of the pokes, and its interval [N/mm]."""
-    force = np.array([poke.force or 0.0 for poke in fit.pokes])
-    depth = np.array([poke.depth for poke in fit.pokes])
-    return secant(force, depth, FORCE_SHARE * force, np.zeros(len(force)), level)
-
-
 def _comparison(one: PosedPoke, law: Law) -> Comparison:
     """The surface as it was seen and as it is simulated."""
-    state = one.settle([law])
-    poke = one.poke
-    away, _ = cKDTree(poke.touched).query(poke.points)
-    held = np.flatnonzero(away <= 1e-12)
-    return Comparison(
-        rest=poke.points,
-        observed=poke.points + poke.moved,
-        simulated=poke.points + one.moved(state)[0],
-        seen=np.ones(len(poke.points), dtype=bool),
-        held=held,
-        unit="m",
-    )
+    poke, moved = one.poke, one.moved(one.settle([law]))[0]
+    held = np.flatnonzero(cKDTree(poke.touched).query(poke.points)[0] <= 1e-12)
+    seen = np.ones(len(poke.points), dtype=bool)
+    return Comparison(poke.points, poke.points + poke.moved, poke.points + moved, seen, held, unit="m")
 
 
 def model_of(fit: PokesFit, provenance: Mapping[str, object]) -> FittedModel:
@@ -370,11 +342,8 @@ def model_of(fit: PokesFit, provenance: Mapping[str, object]) -> FittedModel:
     measured, k = fit.stiffness(fit.best)
     places = np.array([fit.pokes[i].at for i in measured]).reshape(-1, 3)
     field = fit_field(places[:, :2], k, fit.pokes[0].tip.width) if measured.size else None
-    rivals = [
-        Rival(one.law, fit.stiffness(one)[1], one.score)
-        for one in fit.tried[1:]
-        if one.converged and one.score <= RIVAL * fit.best.score
-    ]
+    near = [one for one in fit.tried[1:] if one.converged and one.score <= RIVAL * fit.best.score]
+    rivals = [Rival(one.law, fit.stiffness(one)[1], one.score) for one in near]
     held_out = fit.best.held_out
     return FittedModel(
         body="layers",

@@ -144,16 +144,14 @@ def scene_below(
     reach = 0.5 * max(tip.size) + REACH_SHARE * surface.thickness + REACH_TIPS * tip.width
     layers = below(surface, spacing=fine, centre=centre, reach=reach)
     grouped = clusters.lattice(layers.rest, layers.shape, layers.cell, cluster_size)
-    return PokeSetup(
-        rest=layers.rest, clusters=grouped, fixed=layers.bottom, open=layers.top, toward=DOWN, spacing=fine
-    ), layers
+    return PokeSetup(layers.rest, grouped, fixed=layers.bottom, open=layers.top, toward=DOWN, spacing=fine), layers
 
 
 def flat_edge(at: FloatArray, tip: Tip) -> FlatEdge | None:
     """The edge of a flat tip at a place (2,) or (3,); other tips have none that the surface falls at."""
     if tip.shape != "flat":
         return None
-    return FlatEdge(np.asarray(at)[:2], 0.5 * np.asarray(tip.size if len(tip.size) == 2 else tip.size * 2))
+    return FlatEdge(np.asarray(at)[:2], tip.half)
 
 
 def default_spacing(surface: MeasuredSurface, tip: Tip) -> float:
@@ -275,8 +273,7 @@ def fit_shape(
     theta: fixed if given; tick: called with how many laws were tried, MOST_LAWS at most
 
     All pokes count equally, whatever their number of points. Slopes are differences, because slipping particles move
-    with the law. A law and its neighbours are relaxed together.
-    """
+    with the law. A law and its neighbours are relaxed together."""
     size = posed[0].size
     seen: dict[bytes, tuple[FloatArray, FloatArray, bool]] = {}
 
@@ -289,10 +286,8 @@ def fit_shape(
             steps = np.where(x > 0.5 * FARTHEST[:free], -SLOPE_STEP, SLOPE_STEP)
             laws = [law(x), *(law(x + step) for step in np.diag(steps))]
             states = [one.settle(laws) for one in posed]
-            every = [
-                one.residual(state).reshape(len(laws), -1) / np.sqrt(len(one.places))
-                for one, state in zip(posed, states, strict=True)
-            ]
+            pairs = zip(posed, states, strict=True)
+            every = [one.residual(state).reshape(len(laws), -1) / np.sqrt(len(one.places)) for one, state in pairs]
             value = np.concatenate(every, axis=1)
             good = all(bool(state.converged[0]) for state in states)
             tick(len(seen))
@@ -300,20 +295,11 @@ def fit_shape(
         return seen[key]
 
     free = 2 if theta is None else 1
-    low, high = (
-        np.array([-np.log1p(-end), theta_end])[:free] for end, theta_end in zip(beta_range, (0.0, 1.0), strict=True)
-    )
+    low, high = (np.array([-np.log1p(-beta_range[end]), float(end)])[:free] for end in (0, 1))
     inside = np.minimum(1e-3, 0.1 * (high - low))
     first = np.clip(np.array([-np.log1p(-start[0]), start[1]])[:free], low + inside, high - inside)
-    found = least_squares(
-        lambda x: around(x)[0],
-        first,
-        lambda x: around(x)[1],
-        bounds=(low, high),
-        xtol=1e-3,
-        ftol=1e-4,
-        max_nfev=MOST_LAWS,
-    )
+    slopes, ends = lambda x: around(x)[1], (low, high)
+    found = least_squares(lambda x: around(x)[0], first, slopes, bounds=ends, xtol=1e-3, ftol=1e-4, max_nfev=MOST_LAWS)
     return law(found.x), around(found.x)[2]
 
 
@@ -491,14 +477,7 @@ def _fit_size(
         if not one.poke.heights_only:
             left.append(one.left(state))
     residual = residual_of(left, posed[0].thickness) if len(left) == count else None
-    return ShapeFit(
-        law=law,
-        surface_error=np.array(error),
-        held_out=np.full(len(posed), np.nan),
-        reaction=reaction,
-        converged=good,
-        residual=residual,
-    )
+    return ShapeFit(law, np.array(error), np.full(len(posed), np.nan), reaction, good, residual)
 
 
 def _hold_out(posed: Sequence[PosedPoke], law: Law, beta_range: tuple[float, float], theta: float | None) -> FloatArray:

@@ -54,14 +54,14 @@ def fit_slip(
     kernel = np.full(SMOOTHED, 1.0 / SMOOTHED)
     padded = np.pad(across_m, ((SMOOTHED // 2, SMOOTHED // 2), (0, 0)), mode="edge")
     smooth_m = np.stack([np.convolve(one, kernel, mode="valid") for one in padded.T], axis=1)[loaded]
-    force, felt = np.maximum(force_n[loaded], LOADED * peak), across_n[loaded]
+    force, lateral = np.maximum(force_n[loaded], LOADED * peak), across_n[loaded]
     secant = force / np.maximum(dent_m[loaded], 1e-5)
     # how the force across would grow did the contact stick
     steps_m = np.diff(smooth_m, axis=0, prepend=smooth_m[:1])
     sticking = np.cumsum(secant[:, None] * steps_m, axis=0)
     way = sticking[-1] if np.linalg.norm(sticking[-1]) > 0.0 else np.array([1.0, 0.0])
     way = way / np.linalg.norm(way)
-    sticking_n, moved_m, felt_n = sticking @ way, (smooth_m - smooth_m[0]) @ way, felt @ way
+    sticking_n, moved_m = sticking @ way, (smooth_m - smooth_m[0]) @ way
     ends = np.unique(np.linspace(0, len(force), PIECES + 1).round().astype(int))
     count = np.diff(ends)
 
@@ -72,7 +72,7 @@ def fit_slip(
     whole = stick[:, None] * sticking_n
     limit = friction[:, None] * force
     slid = np.abs(whole) > limit
-    across = pieces(felt_n)
+    across = pieces(lateral @ way)
     sd = np.hypot(force_sd_n / np.sqrt(count), STICK_OFF * np.abs(across)) + 1e-3
     off = (across - pieces(np.clip(whole, -limit, limit))) / sd
     # tilt and start are taken out in closed form
@@ -91,5 +91,5 @@ def fit_slip(
         probability=probability,
         slid_m=float(np.average(slid_m, weights=given)),
         friction=float(np.average(friction, weights=given)),
-        ratio=float(np.linalg.norm(felt, axis=1).max() / peak),
+        ratio=float(np.linalg.norm(lateral, axis=1).max() / peak),
     )

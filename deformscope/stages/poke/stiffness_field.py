@@ -164,9 +164,8 @@ class StiffnessField:
             logs.append(np.log(np.maximum(weight, 1e-300))[:, None] + unexpected)
         log_weight = np.concatenate(logs)
         shares = np.exp(log_weight - logsumexp(log_weight, axis=0))
-        return (
-            self._quantile(_Mixture(np.concatenate(means), np.concatenate(variances), shares), 0.5) / self.stiffness - 1
-        )
+        mixture = _Mixture(np.concatenate(means), np.concatenate(variances), shares)
+        return self._quantile(mixture, 0.5) / self.stiffness - 1
 
     # The mixture -----------------------------------------------------------------------------------------------------
 
@@ -203,17 +202,16 @@ class StiffnessField:
         hypotheses = posterior.hypotheses(MAPS)
         scatter2, found = OWN_SD**2 + posterior.scatter**2, []
         for maps, level, cov, weight in hypotheses.maps:
-            felt = np.ones((len(level), len(at), 1)) if maps is None else maps.shares(at, contact_m * self._scale)
-            mixed = 2.0 * (1.0 - (felt**2).sum(axis=-1))
-            mean = np.einsum("cnk,ck->cn", felt, level)
-            variance = np.einsum("cnk,ckl,cnl->cn", felt, cov, felt)
+            shares = np.ones((len(level), len(at), 1)) if maps is None else maps.shares(at, contact_m * self._scale)
+            mixed = 2.0 * (1.0 - (shares**2).sum(axis=-1))
+            mean = np.einsum("cnk,ck->cn", shares, level)
+            variance = np.einsum("cnk,ckl,cnl->cn", shares, cov, shares)
             noise2 = scatter2 + (posterior.prior.mixed_share * spread * mixed) ** 2
             found.append((mean, variance, noise2, (1.0 - free) * weight))
         for field, share in [*((field, (1.0 - free) * share) for field, share in hypotheses.smooth), *self._free]:
             mean, variance = field.predict(at)
-            found.append(
-                (mean[None], variance[None], np.full((1, len(at)), OWN_SD**2 + field.scatter**2), np.array([share]))
-            )
+            noise2 = np.full((1, len(at)), OWN_SD**2 + field.scatter**2)
+            found.append((mean[None], variance[None], noise2, np.array([share])))
         return [part for part in found if part[3].sum() > 0.0]
 
     @cached_property
@@ -230,13 +228,7 @@ class StiffnessField:
     @cached_property
     def _free(self) -> tuple[tuple[SmoothField, float], ...]:
         middle = 0.5 * np.asarray(self._posterior.grid.size_m)
-        kernel = SmoothKernel(
-            level_sd=self._posterior.prior.any_level_sd,
-            middle_m=middle,
-            slope_per_m=0.0,
-            sd=FREE_SD,
-            length_m=FREE_LENGTH_M,
-        )
+        kernel = SmoothKernel(self._posterior.prior.any_level_sd, middle, 0.0, FREE_SD, FREE_LENGTH_M)
         return self._posterior.with_smooth_field(kernel, FREE_SHARE)
 
     @property

@@ -27,25 +27,19 @@ class RegionHypotheses:
 
     def predict(self, places_m: FloatArray, blur_m: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Mean and variance (h, p) of contacts at places (p, 2) under each hypothesis, and its probability (h,)."""
-        means: list[FloatArray] = []
-        variances: list[FloatArray] = []
-        weights: list[FloatArray] = []
+        parts: list[tuple[FloatArray, FloatArray, FloatArray]] = []
         for maps, level, cov, weight in self.maps:
             shares = np.ones((1, len(places_m), 1)) if maps is None else maps.shares(places_m, blur_m)
             if self.forces_add:
                 mean, shares = mixed_stiffness(shares, level)
             else:
                 mean = (shares @ level[..., None])[..., 0]
-            means.append(mean)
-            variances.append(((shares @ cov) * shares).sum(axis=-1))
-            weights.append(weight)
+            parts.append((mean, ((shares @ cov) * shares).sum(axis=-1), weight))
         for smooth, share in self.smooth:
             mean, variance = smooth.predict(places_m)
-            means.append(mean[None])
-            variances.append(variance[None])
-            weights.append(np.array([share]))
-        weight = np.concatenate(weights)
-        return np.concatenate(means), np.concatenate(variances), weight / weight.sum()
+            parts.append((mean[None], variance[None], np.array([share])))
+        mean, variance, weight = (np.concatenate(each) for each in zip(*parts, strict=True))
+        return mean, variance, weight / weight.sum()
 
 
 @dataclass(frozen=True, slots=True)

@@ -219,9 +219,7 @@ def _draw(
     latent, double = rng.standard_normal((count, curves, LATENTS)), rng.random(count) < DOUBLE_SHARE
     last = np.tile(np.arange(curves), (count, 1))
     parent = last if regions <= 3 else rng.integers(last + 1)
-    return Partitions(
-        regions, size_m, family=family, latent=latent, double=double, parent=parent, family_shares=family_shares
-    )
+    return Partitions(regions, size_m, family, latent, double, parent, family_shares)
 
 
 def _line(latent: FloatArray, kind: Family, xy_m: FloatArray, size_m: tuple[float, float], exact: bool) -> FloatArray:

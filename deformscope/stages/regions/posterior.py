@@ -57,6 +57,7 @@ PRIOR_EXTENT_M, PRIOR_MARGIN_M = 0.5, 0.05
 """Distances of places, and from the border, are scaled to this size: that of the priors on shapes, 0.6 m."""
 RIGID_SDS = 2.0
 """Levels within this many deviations below the bound of rigid touches count as rigid."""
+MAPS_SHOWN = 240
 SCATTER_MAPS = 100
 """Number of maps from which the scatter is computed."""
 LEVELS_DRAWN = 4000
@@ -154,18 +155,14 @@ class RegionPosterior:
                 particles.append(updated(rng, one, readings, self.prior, self._map_count(one.maps.regions)))
             found = replace(self, touches=touches, particles=tuple(particles))
             while found._more_follow:
-                more = found._followed(found._most_followed + 1)
+                more = found._followed(len(found.particles) + 2)
                 found = replace(found, particles=(*found.particles, more))
         return found
 
     @property
-    def _most_followed(self) -> int:
-        return len(self.particles) + 1
-
-    @property
     def _more_follow(self) -> bool:
         """Maps of one more region are followed."""
-        most, shares = self._most_followed, self._shares[:-1]
+        most, shares = len(self.particles) + 1, self._shares[:-1]
         enough = shares.argmax() + 1 == most or (most > FIRST_REGIONS and shares[-1] >= MORE_FROM)
         return bool(enough and most < self.most_regions)
 
@@ -286,10 +283,10 @@ class RegionPosterior:
         smooth = tuple((self._smooth[i], float(weights[i])) for i in kept)
         return RegionHypotheses(tuple(found), smooth, self.prior.forces_add, tuple(scatters))
 
-    def region_map(self, count: int = 240) -> RegionMap:
-        """The map of this posterior; `count` maps are drawn for it."""
+    def region_map(self) -> RegionMap:
+        """The map of this posterior; `MAPS_SHOWN` maps are drawn for it."""
         centres, k = self.grid.centres_m, self.region_count
-        hypotheses = self.hypotheses(count)
+        hypotheses = self.hypotheses(MAPS_SHOWN)
         mean, square = np.zeros(len(centres)), np.zeros(len(centres))
         probability, (_, level, cov, shared) = np.ones((1, len(centres))), hypotheses.maps[0]
         for maps, levels, covs, weight in hypotheses.maps:
@@ -342,7 +339,8 @@ class RegionPosterior:
         mean_level[rigid], interval[rigid] = self._rigid_bound, (self._rigid_bound, np.inf)
         right = np.minimum(probability.max(axis=0), 1.0)  # weights add up to 1 but for rounding
         wrong = float(1.0 - right.mean())
-        edge_m = self.grid.cell_m * _edges(labels)
+        sides = (labels[1:] != labels[:-1]).sum() + (labels[:, 1:] != labels[:, :-1]).sum()
+        edge_m = self.grid.cell_m * (float(sides) * np.pi / 4.0)  # slanted boundaries have 4 / pi as many sides
         area = self.grid.size_m[0] * self.grid.size_m[1]
         return replace(
             found,
@@ -405,9 +403,8 @@ class RegionPosterior:
         """Under each scatter (s,): log evidence with its prior (s,), levels (s, 1), covariances (s, 1, 1)."""
         readings = readings_of(self.touches, self.prior)
         scatter, prior = self.prior.error.scatters()
-        log_likelihood, level, cov = levels_of(
-            np.ones((len(scatter), len(self.touches), 1)), readings, self.prior, scatter
-        )
+        shares = np.ones((len(scatter), len(self.touches), 1))
+        log_likelihood, level, cov = levels_of(shares, readings, self.prior, scatter)
         return log_likelihood + np.log(prior), level, cov
 
     @cached_property
@@ -443,12 +440,8 @@ class RegionPosterior:
     def related(self, places_m: FloatArray) -> RelatedTouches:
         """Touches at places (p, 2) [m], given those made so far."""
         known = [touch.log_sd for touch in self.touches if not touch.rigid]
-        return RelatedTouches(
-            at_m=places_m,
-            readings=readings_of(self.touches, self.prior),
-            prior=self.prior,
-            own_sd=float(np.median(known)) if known else LAW_SD,
-        )
+        own_sd = float(np.median(known)) if known else LAW_SD
+        return RelatedTouches(places_m, readings_of(self.touches, self.prior), self.prior, own_sd)
 
     @cached_property
     def _smooth(self) -> tuple[SmoothField, ...]:
@@ -463,9 +456,3 @@ class RegionPosterior:
         """Under each scatter."""
         readings, scatters = readings_of(self.touches, self.prior), zip(*self.prior.error.scatters(), strict=True)
         return [SmoothField(readings, kernel, float(scatter), float(np.log(share))) for scatter, share in scatters]
-
-
-def _edges(labels: IntArray) -> float:
-    """Number of cell sides between two labels over 4/pi, the mean of slanted boundaries' excess."""
-    sides = (labels[1:] != labels[:-1]).sum() + (labels[:, 1:] != labels[:, :-1]).sum()
-    return float(sides) * np.pi / 4.0

@@ -10,13 +10,8 @@ import numpy as np
 from scipy.special import logsumexp
 
 from deformscope.arrays import FloatArray, IntArray
-from deformscope.stages.regions.levels import (
-    Readings,
-    RegionPrior,
-    levels_of,
-    log_likelihood_by_scatter,
-    log_likelihood_of,
-)
+from deformscope.stages.regions import levels
+from deformscope.stages.regions.levels import Readings, RegionPrior
 from deformscope.stages.regions.partitions import Partitions, draw, propose
 
 MOVES = 40
@@ -53,14 +48,14 @@ def updated(
     left = list(TEMPERS)
     while left:
         shares = maps.shares(readings.xy_m, prior.blur_m)
-        likelihoods = ((temper, log_likelihood_of(shares, readings, prior, temper)) for temper in left)
+        likelihoods = ((temper, levels.log_likelihood_of(shares, readings, prior, temper)) for temper in left)
         # the first that leaves enough maps, or else the last
         temper, now = next(
             (one for one in likelihoods if _effective_share(log_weight + one[1] - before, maps) >= 0.25 * least),
             (left[-1], None),
         )
         if now is None:
-            now = log_likelihood_of(shares, readings, prior, temper)
+            now = levels.log_likelihood_of(shares, readings, prior, temper)
         left = [smaller for smaller in left if smaller < temper]
         joint = log_weight + now - before
         gained = float(logsumexp(joint))
@@ -111,17 +106,19 @@ def _moved(
     Most proposals fail already under the one scatter that is most likely of all. The others are then judged under every
     scatter, by its addition (delayed acceptance, Christen and Fox 2005)."""
     scatters, share = prior.error.scatters()
-    logs = log_likelihood_by_scatter(maps.shares(readings.xy_m, prior.blur_m), readings, prior, last_noise)
+    logs = levels.log_likelihood_by_scatter(maps.shares(readings.xy_m, prior.blur_m), readings, prior, last_noise)
     likeliest = int(logsumexp(logs, axis=1).argmax())
     rough = logs[likeliest]
     for _ in range(MOVES):
         proposed = propose(rng, maps)
         shares = proposed.shares(readings.xy_m, prior.blur_m)
-        roughly = levels_of(shares, readings, prior, scatters[likeliest], last_noise)[0] + np.log(share[likeliest])
+        roughly = levels.levels_of(shares, readings, prior, scatters[likeliest], last_noise)[0] + np.log(
+            share[likeliest]
+        )
         taken = np.log(rng.random(len(maps))) < roughly - rough
         taken[taken] = proposed.take(taken).admissible()
         now = np.where(taken, roughly, log_likelihood)
-        now[taken] = log_likelihood_of(shares[taken], readings, prior, last_noise)
+        now[taken] = levels.log_likelihood_of(shares[taken], readings, prior, last_noise)
         taken &= np.log(rng.random(len(maps))) < now - log_likelihood - (roughly - rough)
         maps = maps.instead(taken, proposed)
         log_likelihood, rough = np.where(taken, now, log_likelihood), np.where(taken, roughly, rough)
@@ -130,9 +127,5 @@ def _moved(
 
 def systematic(weight: FloatArray, count: int, start: float) -> IntArray:
     """(count,) indices, each as often as its weight says to within one."""
-    return cast(
-        IntArray,
-        np.minimum(
-            np.searchsorted(np.cumsum(weight) / weight.sum(), (np.arange(count) + start) / count), len(weight) - 1
-        ),
-    )
+    found = np.searchsorted(np.cumsum(weight) / weight.sum(), (np.arange(count) + start) / count)
+    return cast(IntArray, np.minimum(found, len(weight) - 1))

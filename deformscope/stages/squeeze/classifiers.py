@@ -70,8 +70,7 @@ class Quadratic:
     """One Gaussian for each class (eq. 2.4, 2.5, with a covariance for each class), all classes with equal prior
     probability.
 
-    mean: (C, d); factor: (C, d, d) lower Cholesky factors of the covariances; present: (C,) whether there were points
-    """
+    mean: (C, d); factor: (C, d, d) lower Cholesky factors of the covariances; present: (C,) classes with points"""
 
     mean: FloatArray
     factor: FloatArray
@@ -115,11 +114,6 @@ def floored(score: FloatArray) -> FloatArray:
 
 
 # Neighbours ----------------------------------------------------------------------------------------------------------
-
-
-def fit_neighbours(points: FloatArray, target: IntArray, classes: int, k: int) -> Neighbours:
-    """points: (n, d) features; target: (n,) class of each"""
-    return Neighbours(points, target, k, classes)
 
 
 def neighbour_count(points: FloatArray, target: IntArray, classes: int, fold: IntArray) -> int:
@@ -257,7 +251,8 @@ def fitter(
     """A function that fits a classifier of that name to some of the points (n, d), with settings found on all points.
     target: (n,) class of each; fold: (n,) fold in which it is left out for them"""
     if name == "knn":
-        return partial(fit_neighbours, k=neighbour_count(points, target, classes, fold))
+        k = neighbour_count(points, target, classes, fold)
+        return lambda some, of, count: Neighbours(some, of, k, count)
     if name == "linear":
         return partial(fit_linear, share=linear_share(points, target, classes))
     return fit_quadratic

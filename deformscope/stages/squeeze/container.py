@@ -126,10 +126,8 @@ class ModelRenderer:
         # Which triangle is hit is Embree's; where, in float64: its last bit is another one on other processors.
         triangle = np.where(known, hit["primitive_ids"].numpy(), 0)
         outward = self._outward[triangle]
-        depth = np.full(known.shape, np.nan)
-        np.divide(
-            (self._away_m - self._outward @ eye)[triangle], np.einsum("...i,...i", outward, ray), out=depth, where=known
-        )
+        depth, away_m = np.full(known.shape, np.nan), (self._away_m - self._outward @ eye)[triangle]
+        np.divide(away_m, np.einsum("...i,...i", outward, ray), out=depth, where=known)
         return ModelView(depth, outward, pose[:3, :3])
 
     def window(self, T_camera_container: FloatArray, shape: tuple[int, int], margin_px: int = 0) -> tuple[int, ...]:

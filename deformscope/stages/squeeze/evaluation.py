@@ -9,6 +9,7 @@ import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
+from typing import Any
 
 import numpy as np
 
@@ -190,7 +191,10 @@ def evaluate(
     for protocol in protocols:
         splits = draw(protocol, table, options.splits, options.seed)
         found = runner.run(f"{protocol} splits", splits, methods, by_group=protocol == "group")
-        _check_trained(table, found)
+        for name in table.modalities:
+            if (name, "pooled") not in found:
+                came = f"too few trials with {name}, or none that differ in it"
+                raise InputError("features that vary on the training side of every split", came, "leave it out")
         scores += [score_of(table, key, protocol, splits, one, options.level) for key, one in found.items()]
         if protocol == strictest:
             outcomes, drawn = found, splits
@@ -246,13 +250,6 @@ def _without_copies(
         return None
 
 
-def _check_trained(table: LabelledTable, found: Mapping[Key, Sequence[Answers]]) -> None:
-    for name in table.modalities:
-        if (name, "pooled") not in found:
-            came = f"too few trials with {name}, or none that differ in it"
-            raise InputError("features that vary on the training side of every split", came, "leave that modality out")
-
-
 class _Runner:
     """Runs splits of a table in threads: what takes time is linear algebra, which lets other threads run."""
 
@@ -278,17 +275,8 @@ class _Runner:
         fused = self.table.fused if features is None else None
 
         def one(split: Split) -> dict[Key, Answers]:
-            return run_split(
-                shown,
-                missing,
-                self.target,
-                self.classes,
-                split,
-                apart=apart,
-                methods=methods,
-                fused=fused,
-                seed=self.options.seed,
-            )
+            how: Any = {"apart": apart, "methods": methods, "fused": fused, "seed": self.options.seed}
+            return run_split(shown, missing, self.target, self.classes, split, **how)
 
         counted = itertools.count()
         workers = ThreadWorkers(self.options.workers)
@@ -406,62 +394,30 @@ def _time_steps(
     """The posterior over the squeeze: at each step a classifier of that step, on the same splits; with several
     modalities that have steps, also their late fusion."""
     splits = splits[: options.curve_splits]
+    truth = np.concatenate([table.target[split.test] for split in splits])
     held = {name: held_values(series) for name, series in table.series.items()}
     longest = max((values.shape[1] for values in held.values()), default=0)
     points: dict[str, list[TimePoint]] = {}
-    stops: dict[str, _Stops] = {}
+    stops: dict[str, list[IntArray]] = {}  # (m,) of each split, the class that ends a squeeze so far; -1: none
     for step in range(longest):
+        time_s = step * table.step_s
         now = {name: values[:, min(step, values.shape[1] - 1)] for name, values in held.items()}
-        outcomes = runner.run(
-            f"at {step * table.step_s:.1f} s",
-            splits,
-            ("pooled", "late-fusion"),
-            by_group=protocol == "group",
-            features={name: values for name, values in now.items() if not np.isnan(values).all()},
-        )
+        features = {name: values for name, values in now.items() if not np.isnan(values).all()}
+        how: Any = {"by_group": protocol == "group", "features": features}
+        outcomes = runner.run(f"at {time_s:.1f} s", splits, ("pooled", "late-fusion"), **how)
         for (name, _), answers in outcomes.items():
-            stopped = stops.setdefault(name, _Stops.of(splits))
-            stopped.note(splits, answers)
-            points.setdefault(name, []).append(
-                stopped.point(step * table.step_s, table, protocol, options.level, splits, answers)
-            )
+            named = stops.setdefault(name, [np.full(len(split.test), -1) for split in splits])
+            for split, before, one in zip(splits, named, answers, strict=True):
+                at = np.searchsorted(split.test, one.rows)
+                fresh = (one.sure >= SURE) & (before[at] < 0)
+                before[at[fresh]] = one.answer[fresh]
+            ended = np.concatenate(named) >= 0
+            right = (np.concatenate(named) == truth)[ended]
+            worth = worth_of(table, protocol, splits, answers)
+            accuracy = share_of(np.array([accuracy_of(one, table.target) for one in answers]), worth, options.level)
+            share = float(right.mean()) if right.size else float("nan")
+            points.setdefault(name, []).append(TimePoint(time_s, accuracy, float(ended.mean()), share))
     return {name: tuple(found) for name, found in points.items()}
-
-
-@dataclass(frozen=True, slots=True)
-class _Stops:
-    """Possible stops of a squeeze up to now. named: for each split (m,) the class then, -1 = not yet"""
-
-    named: list[IntArray]
-
-    @classmethod
-    def of(cls, splits: Sequence[Split]) -> _Stops:
-        return cls([np.full(len(split.test), -1) for split in splits])
-
-    def note(self, splits: Sequence[Split], answers: Sequence[Answers]) -> None:
-        for split, named, one in zip(splits, self.named, answers, strict=True):
-            at = np.searchsorted(split.test, one.rows)
-            fresh = (one.sure >= SURE) & (named[at] < 0)
-            named[at[fresh]] = one.answer[fresh]
-
-    def point(
-        self,
-        time_s: float,
-        table: LabelledTable,
-        protocol: Protocol,
-        level: float,
-        splits: Sequence[Split],
-        answers: Sequence[Answers],
-    ) -> TimePoint:
-        named = np.concatenate(self.named)
-        right = (named == np.concatenate([table.target[split.test] for split in splits]))[named >= 0]
-        accuracy = np.array([accuracy_of(one, table.target) for one in answers])
-        return TimePoint(
-            time_s,
-            share_of(accuracy, worth_of(table, protocol, splits, answers), level),
-            float((named >= 0).mean()),
-            float(right.mean()) if right.size else float("nan"),
-        )
 
 
 def held_values(series: FloatArray) -> FloatArray:

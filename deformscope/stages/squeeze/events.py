@@ -166,10 +166,8 @@ class ArrayCheck:
         """rise, threshold: (2,) sums above the baseline, and that of a contact [counts]; texels: (rows, columns)
         counts of each array"""
         contact = rise > threshold
-        same = [
-            np.count_nonzero(now) >= LIT_TEXELS and np.array_equal(now, before)
-            for now, before in zip(texels, self._texels, strict=True)
-        ]
+        pairs = zip(texels, self._texels, strict=True)
+        same = [np.count_nonzero(now) >= LIT_TEXELS and np.array_equal(now, before) for now, before in pairs]
         self._rise, self._texels, self._threshold = rise, list(texels), threshold
         self._unread = np.where(contact, 0, self._unread + 1)
         self._equal = np.where(contact & np.array(same), self._equal + 1, 0)
@@ -208,8 +206,8 @@ def squeeze_events(
         came = f"{len(tactile_ns)} tactile frames and {len(hand_ns)} readings of the hand"
         raise InputError(f"more than {BASELINE_FRAMES} frames and 2 readings", came, "a longer recording")
     onset, still = OnsetDetector(rule), StillDetector(rule)
-    for when, felt in zip(tactile_ns, sums, strict=True):
-        onset.feed(int(when), felt)
+    for when, frame in zip(tactile_ns, sums, strict=True):
+        onset.feed(int(when), frame)
     first_ns = onset.first_ns
     for when, angles in zip(hand_ns, closing_deg, strict=True):
         if first_ns and when >= first_ns:

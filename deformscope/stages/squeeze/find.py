@@ -45,6 +45,8 @@ MOVED_M, MOVED_SD, TURNED_RAD = 0.005, 4.0, 0.09
 """A container counts as moved beyond this distance, or this number of standard deviations of both fits if that is more,
 and as turned beyond this angle. Closing fingers themselves move one by some millimetres. A smaller one reports every
 squeeze as a fault; a larger one misses a container that was pushed."""
+SIZE_TOLERANCE_M = 0.01
+"""Difference of a side from the stated one up to which it is the same container."""
 TOPPLED_RAD, LOWER = 0.2, 0.8
 """It has toppled if its axis leans by more, or its height is below this share of its first height."""
 
@@ -59,8 +61,7 @@ def find_container(points_m: FloatArray, shape: str, *, expected: ContainerFit |
     """The single container among points (n, 3) in the table's frame, without the robot.
 
     expected: the earlier fit, which gives the size and the place to search: parts may be hidden. Raises InputError,
-    with the reason, for none, several, or another shape.
-    """
+    with the reason, for none, several, or another shape."""
     if shape not in ("box", "cylinder"):
         raise InputError("a box or a cylinder to find", repr(shape), 'shape = "box" in [container]')
     above = points_m[points_m[:, 2] > ABOVE_M]
@@ -76,9 +77,7 @@ def find_container(points_m: FloatArray, shape: str, *, expected: ContainerFit |
             raise InputError("one container on the table", came, "clear the table, or check [surface] and T_arm_camera")
         piece = pieces[0]
     if len(piece) < LEAST_POINTS:
-        raise ContainerHidden(
-            f"{LEAST_POINTS} points of a container", f"{len(piece)}", "a camera with the container in view"
-        )
+        raise ContainerHidden(f"{LEAST_POINTS} points of a container", f"{len(piece)}", "a camera that sees it")
     top_m = _top(piece[:, 2])
     if expected is not None:
         top_m = float(min(top_m, expected.size_m[2])) if top_m > LOWER * expected.size_m[2] else top_m
@@ -86,17 +85,14 @@ def find_container(points_m: FloatArray, shape: str, *, expected: ContainerFit |
     tops = piece[piece[:, 2] >= top_m - TOP_M]
     sides = sides[:: 1 + len(sides) // MOST_POINTS]
     if len(sides) < LEAST_POINTS // 3:
-        hidden = ContainerHidden(
-            "a container with visible sides", f"{len(sides)} points of them", "a camera less steep"
-        )
+        came = f"{len(sides)} points of them"
+        hidden = ContainerHidden("a container with visible sides", came, "a camera less steep")
         hidden.top_m = top_m if len(tops) >= LEAST_POINTS else np.inf
         raise hidden
     found = _upright(shape, sides, tops, top_m, expected)
     if found.rms_m > BAD_RMS_M:
-        came = f"something that is off by {1e3 * found.rms_m:.1f} mm"
-        raise InputError(
-            f"an upright {shape}, within {1e3 * BAD_RMS_M:.1f} mm", came, "a container of [container] shape"
-        )
+        wanted, came = f"an upright {shape}, within {1e3 * BAD_RMS_M:.1f} mm", f"{1e3 * found.rms_m:.1f} mm off"
+        raise InputError(wanted, came, "a container of [container] shape")
     return found
 
 
@@ -126,7 +122,7 @@ def compare(before: ContainerFit, after: ContainerFit | InputError) -> Container
     return ContainerShift(kind, moved_m, threshold_m, float(turned), lean, reason)
 
 
-def matches(found: ContainerFit, size_m: tuple[float, float, float], tolerance_m: float = 0.01) -> ContainerFit:
+def matches(found: ContainerFit, size_m: tuple[float, float, float]) -> ContainerFit:
     """The same with its x axis along the side that a rig file calls x. size_m: size of its `[container]`.
 
     Raises InputError for another container there."""
@@ -136,7 +132,7 @@ def matches(found: ContainerFit, size_m: tuple[float, float, float], tolerance_m
         choices.append(replace(found, yaw_rad=yaw, size_m=found.size_m[[1, 0, 2]]))
     best = min(choices, key=lambda one: float(np.abs(one.size_m - size_m).max()))
     off_m = np.abs(best.size_m - size_m)
-    if (off_m > np.maximum(tolerance_m, MOVED_SD * best.deviation_m)).any():
+    if (off_m > np.maximum(SIZE_TOLERANCE_M, MOVED_SD * best.deviation_m)).any():
         sizes = [" x ".join(f"{1e3 * side:.0f}" for side in sides) for sides in (size_m, best.size_m)]
         raise InputError(f"the {best.shape} of [container], {sizes[0]} mm", f"one of {sizes[1]} mm", "its size_m")
     return best
@@ -224,20 +220,16 @@ def _upright(
     half_m, size = 0.5 * top_m, 2.0 * (p[4 + box :] if free else half)
     at_middle = np.eye(len(p))[:2] + half_m * np.eye(len(p))[2:4]
     spread = np.diag(at_middle @ covariance @ at_middle.T)
+    top_sd_m = 1.4826 * float(np.median(np.abs(tops[:, 2] - np.median(tops[:, 2]))))
+    top_sd_m *= CORRELATED_PX / np.sqrt(max(len(tops), 1.0))
     return ContainerFit(
         shape=shape,
         center_m=np.array([*(p[:2] + half_m * p[2:4]), half_m]),
         yaw_rad=float((p[4] + 0.5 * np.pi) % np.pi - 0.5 * np.pi) if box else 0.0,
         size_m=np.array([size[0], size[-1], top_m]),
         lean_rad=p[2:4],
-        deviation_m=np.array([*np.sqrt(spread + WALL_SD_M**2), _top_sd(tops)]),
+        deviation_m=np.array([*np.sqrt(spread + WALL_SD_M**2), top_sd_m]),
         yaw_sd_rad=float(np.sqrt(covariance[4, 4])) if box else 0.0,
         rms_m=_rms(off[: len(sides)]),
         points=len(sides),
     )
-
-
-def _top_sd(tops: FloatArray) -> float:
-    """Deviation of the height of the top [m]."""
-    spread = 1.4826 * float(np.median(np.abs(tops[:, 2] - np.median(tops[:, 2]))))
-    return float(spread * CORRELATED_PX / np.sqrt(max(len(tops), 1.0)))

@@ -5,7 +5,6 @@ reliability of each modality for each class. The posteriors that this is learned
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,12 +39,8 @@ class Pool:
 
     def log_posterior(self, logs: FloatArray, present: BoolArray) -> FloatArray:
         """(n, C) from (M, n, C) logarithms of posteriors; present: (M, n), a missing modality has no effect."""
-        return log_softmax(self._score(logs, present))
-
-    def _score(self, logs: FloatArray, present: BoolArray) -> FloatArray:
-        """(n, classes) weighted log posteriors of modalities (m, n, classes), where they are present (m, n)."""
         score: FloatArray = np.einsum("mnc,mc->nc", np.where(present[..., None], logs, 0.0), self.weight)
-        return score + self.offset
+        return log_softmax(score + self.offset)
 
 
 def fit_pool(
@@ -125,15 +120,7 @@ class Fitted:
 
 
 def fit_expert(
-    points: FloatArray,
-    kept: int,
-    raw: int,
-    target: IntArray,
-    classes: int,
-    apart: IntArray | None,
-    *,
-    seed: int = 0,
-    names: Sequence[Name] = NAMES,
+    points: FloatArray, kept: int, raw: int, target: IntArray, classes: int, apart: IntArray | None, *, seed: int = 0
 ) -> Fitted:
     """All possible classifiers of a modality, pooled by their posteriors for points left out.
 
@@ -145,9 +132,7 @@ def fit_expert(
         inside = fold == one
         known[inside] = np.isin(target[inside], target[~inside])
     members, said = [], []
-    for name in names:
-        if not usable(name, raw):
-            continue
+    for name in (one for one in NAMES if usable(one, raw)):
         columns = columns_of(name, kept)
         chosen = points[:, :columns]
         fitting = fitter(name, chosen, target, classes, fold)

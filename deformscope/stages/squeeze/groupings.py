@@ -107,8 +107,7 @@ def normality(table: LabelledTable) -> Mapping[str, Normality]:
     for name, (rows, points, _) in described(table).items():
         target = table.target[rows]
         pooled = np.array([lilliefors(column)[1] for column in points.T])
-        within = np.array(
-            [[lilliefors(column[target == one])[1] for column in points.T] for one in range(len(table.classes))]
-        )
+        every = range(len(table.classes))
+        within = np.array([[lilliefors(column[target == one])[1] for column in points.T] for one in every])
         found[name] = Normality(pooled, within)
     return found

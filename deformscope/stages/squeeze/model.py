@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.squeeze.components import Scaling, fit_scaling, kept_of, loadings
 from deformscope.stages.squeeze.evaluation import Progress, held_values
@@ -174,21 +174,14 @@ def _fit_fused(
     logs, known = np.zeros((*shape, classes)), np.zeros(shape, dtype=bool)
     for index, (name, values) in enumerate(named.items()):
         rows = np.flatnonzero(~absent(values))
-        models[name], logs[index, rows], known[index, rows] = _fit_modality(values, rows, target, classes, group, seed)
+        scaling = fit_scaling(values[rows])
+        scaled = scaling.apply(values[rows])
+        directions, variance = loadings(scaled)
+        centre = scaled.mean(axis=0)
+        apart = None if group is None else group[rows]
+        points = (scaled - centre) @ directions
+        fitted = fit_expert(points, kept_of(variance), scaled.shape[1], target[rows], classes, apart, seed=seed)
+        models[name] = ModalityModel(scaling, centre, directions, fitted.expert)
+        logs[index, rows], known[index, rows] = fitted.logs, fitted.known
     usable = known.any(axis=0)
     return models, fit_pool(logs[:, usable], known[:, usable], target[usable])
-
-
-def _fit_modality(
-    values: FloatArray, rows: IntArray, target: IntArray, classes: int, group: IntArray | None, seed: int
-) -> tuple[ModalityModel, FloatArray, BoolArray]:
-    """The model of a modality of values (trials, p), fitted to rows (n,), with its log posteriors and which are
-    known."""
-    scaling = fit_scaling(values[rows])
-    scaled = scaling.apply(values[rows])
-    directions, variance = loadings(scaled)
-    centre = scaled.mean(axis=0)
-    apart = None if group is None else group[rows]
-    points = (scaled - centre) @ directions
-    fitted = fit_expert(points, kept_of(variance), scaled.shape[1], target[rows], classes, apart, seed=seed)
-    return ModalityModel(scaling, centre, directions, fitted.expert), fitted.logs, fitted.known

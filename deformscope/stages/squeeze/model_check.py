@@ -77,11 +77,9 @@ class ModelCheck:
     def kept(self) -> bool | None:
         """Whether the accuracy is within the interval of this number of trials, if the promise is right; None without
         one, and if trials trained the model."""
-        return (
-            None
-            if self.expected is None or self.trained
-            else self.expected[0] <= self.score.accuracy.value <= self.expected[1]
-        )
+        if self.expected is None or self.trained:
+            return None
+        return self.expected[0] <= self.score.accuracy.value <= self.expected[1]
 
     @property
     def calibration_kept(self) -> bool:
@@ -94,14 +92,11 @@ def check_model(model: ContentModel, table: LabelledTable, *, level: float = 0.9
 
     Raises InputError for labels and columns that the model does not have, and for missing modalities."""
     if unknown := [one for one in table.classes if one not in model.labels]:
-        raise InputError(
-            f"labels out of {', '.join(model.labels)}", ", ".join(map(repr, unknown)), "--merge, or relabel"
-        )
+        came = ", ".join(map(repr, unknown))
+        raise InputError(f"labels out of {', '.join(model.labels)}", came, "--merge, or relabel")
     features = {name: table.modalities[name] for name in model.modalities if name in table.modalities}
     if model.settings and table.settings and model.settings != table.settings:
-        raise InputError(
-            "features computed as those that the model was trained on", "others", "the same [hand] section"
-        )
+        raise InputError("features computed as in the model's training", "others", "the same [hand] section")
     rows = np.flatnonzero(~np.all([np.isnan(values).all(axis=1) for values in features.values()], axis=0))
     if not features or not len(rows):
         raise InputError(f"features of {' or '.join(model.modalities)}", "none")
@@ -116,8 +111,11 @@ def check_model(model: ContentModel, table: LabelledTable, *, level: float = 0.9
     filled = found.count > 0
     within = (found.right >= found.band[:, 0]) & (found.right <= found.band[:, 1])
     bins = int((within & filled).sum()), int(filled.sum())
-    promised, expected = _promised(model), None
-    if promised is not None:
+    promised = expected = None
+    value, interval = model.promised.get("accuracy"), model.promised.get("interval")
+    if isinstance(value, float | int) and isinstance(interval, Sequence):
+        low, high = map(float, interval)
+        promised = Estimated(float(value), (low, high))
         stated = model.promised.get("level", level)
         expected = share_among_new(promised, score.worth, level, float(stated) if isinstance(stated, float) else level)
     calibrated = _calibrated(posterior, score, seed)
@@ -188,14 +186,6 @@ def _time_check(
         by_chance=float(np.abs(perfect).sum(axis=1).mean()) / size,
         debiased=Estimated(root, (least, most)),
     )
-
-
-def _promised(model: ContentModel) -> Estimated | None:
-    value, interval = model.promised.get("accuracy"), model.promised.get("interval")
-    if not isinstance(value, float | int) or not isinstance(interval, Sequence):
-        return None
-    low, high = map(float, interval)
-    return Estimated(float(value), (low, high))
 
 
 def _score(

@@ -63,9 +63,8 @@ def without_near_copies(table: LabelledTable, sets: list[tuple[int, ...]]) -> La
 def fingerprints(features: FloatArray) -> IntArray:
     """(n,) int64 hashes of the rows of features (n, p) in single precision; 0 where nothing was measured."""
     rows = np.ascontiguousarray(features, dtype=np.float32) + np.float32(0.0)
-    found = [
-        int.from_bytes(hashlib.blake2b(one.tobytes(), digest_size=8).digest(), "little", signed=True) for one in rows
-    ]
+    digests = (hashlib.blake2b(one.tobytes(), digest_size=8).digest() for one in rows)
+    found = [int.from_bytes(digest, "little", signed=True) for digest in digests]
     return np.where(absent(features), 0, np.array(found, dtype=np.int64))
 
 

@@ -24,8 +24,9 @@ def outline_px(model: ContainerModel, camera: Intrinsics, T_camera_container: Fl
     towards = np.einsum("ij,ij->i", normal, corners[faces].mean(axis=1)) < 0.0
     sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     of_face = np.tile(np.arange(len(faces)), 3)
-    places, at = _places(corners)
-    ends = np.sort(at[sides], axis=1)
+    # meshes may repeat a corner for each of its faces
+    _, first, at = np.unique(np.round(corners, 7), axis=0, return_index=True, return_inverse=True)
+    places, ends = corners[first], np.sort(np.ravel(at)[sides], axis=1)
     order = np.lexsort((ends[:, 1], ends[:, 0]))
     ends, of_face = ends[order], of_face[order]
     pairs = np.flatnonzero((ends[1:] == ends[:-1]).all(axis=1))
@@ -34,10 +35,3 @@ def outline_px(model: ContainerModel, camera: Intrinsics, T_camera_container: Fl
     seen = (towards[one] != towards[other]) | (sharp & (towards[one] | towards[other]))
     pixels = places[:, :2] / places[:, 2:] * camera.focal_px + camera.centre_px
     return np.asarray(pixels[ends[pairs[seen]]])
-
-
-def _places(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Corners (n, 3) without repetition, as meshes may have one for each face, and the index (n,) of each among
-    these."""
-    _, first, at = np.unique(np.round(corners, 7), axis=0, return_index=True, return_inverse=True)
-    return corners[first], np.ravel(at)

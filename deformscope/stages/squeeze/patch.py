@@ -31,8 +31,7 @@ SURE = 5.0
 """Limits in standard deviations of noise, and of the walls' bulge, beyond which a pixel is not the wall."""
 OUTLINE_PX = 2
 """Distance in pixels from an outline, of the model or of the hand, within which a camera may see either side, or a
-value between
-them: outlines are seen within 1.5 px (`track.EDGE_NOISE_PX`)."""
+value between them: outlines are seen within 1.5 px (`track.EDGE_NOISE_PX`)."""
 LOCAL_PX = 5
 """Side of the window whose median a pixel is compared with."""
 LEAST_SEEN = 0.1
@@ -76,7 +75,6 @@ def depth_change(
     *,
     excluded: BoolArray | None = None,
     closed_m: float = CLOSED_M,
-    side_px: int = SIDE_PX,
 ) -> DepthChange:
     """The patch around a fingertip (3,) [m], camera frame, in a depth image (H, W) [m]; 0 and NaN saw nothing.
 
@@ -85,14 +83,12 @@ def depth_change(
     model than a wall can be, or far from the pixels around it. A wall is pressed in by `closed_m` at most, and bulges
     by `SURE` times `BULGE_M` at most. Raises InputError where the fingertip is behind the camera or less than
     LEAST_SEEN of the patch was measured."""
-    if side_px % 2 == 0:
-        raise InputError("an odd number of pixels, so that the patch has a middle", str(side_px))
     tip = np.asarray(fingertip_m, dtype=np.float64)
     if not tip[2] > 0.0:
         raise InputError("a fingertip before the camera", f"{tip[2]:.3f} m along its axis", "check T_camera_hand")
     camera = renderer.camera
     center = np.rint(tip[:2] / tip[2] * camera.focal_px + camera.centre_px)
-    offset = np.arange(-OUTLINE_PX, side_px + OUTLINE_PX) - side_px // 2
+    offset = np.arange(-OUTLINE_PX, SIDE_PX + OUTLINE_PX) - SIDE_PX // 2
     column, row = np.meshgrid(offset + int(center[0]), offset + int(center[1]))
     high, wide = depth_m.shape
     within = (column >= 0) & (column < wide) & (row >= 0) & (row < high)
@@ -108,12 +104,14 @@ def depth_change(
         change = np.where((within & wall)[inner] & (data > 0.0), data - model, np.nan)
         inward = change * cosine
         change[(inward > closed_m + BULGE_M + SURE * noise) | (inward < -SURE * (BULGE_M + noise))] = np.nan
-        change[np.abs(change - _local_median(change)) > SURE * noise] = np.nan
+        windows = sliding_window_view(np.pad(change, LOCAL_PX // 2, constant_values=np.nan), (LOCAL_PX, LOCAL_PX))
+        local = median_of(np.moveaxis(windows.reshape(*change.shape, -1), -1, 0))
+        change[np.abs(change - local) > SURE * noise] = np.nan
     seen = np.isfinite(change)
     if seen.mean() < LEAST_SEEN:
         least = f"{LEAST_SEEN:.0%} of the container around the fingertip measured"
         raise InputError(least, f"{seen.mean():.1%}", "check T_camera_hand and the camera")
-    width_m = side_px * float(np.median(model[seen])) / float(np.mean(camera.focal_px))
+    width_m = SIDE_PX * float(np.median(model[seen])) / float(np.mean(camera.focal_px))
     deviation = float(np.sqrt(np.mean(noise[seen] ** 2)))
     return DepthChange(change, _block_means(change), center, width_m, float(np.mean(~seen)), deviation)
 
@@ -139,12 +137,6 @@ def median_of(values: FloatArray) -> FloatArray:
         np.take_along_axis(ranked, np.maximum(at, 0)[None], axis=0)[0] for at in ((count - 1) // 2, count // 2)
     )
     return np.where(count > 0, 0.5 * (low + high), np.nan)
-
-
-def _local_median(change: FloatArray) -> FloatArray:
-    """(h, w) median of the `LOCAL_PX` window around each pixel of an image (h, w); NaN are left out."""
-    windows = sliding_window_view(np.pad(change, LOCAL_PX // 2, constant_values=np.nan), (LOCAL_PX, LOCAL_PX))
-    return median_of(np.moveaxis(windows.reshape(*change.shape, -1), -1, 0))
 
 
 def hand_pixels(

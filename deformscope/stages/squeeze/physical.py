@@ -65,22 +65,9 @@ def physical_features(
     steady, way = contacts[last], float(depth[last])
     center = np.nanmean(steady.center_m, axis=0) if np.isfinite(steady.center_m).any() else np.full(2, np.nan)
     angle, elongation = _orientation([np.asarray(one, dtype=np.float64) for one in pressure_pa[last]], texel_m)
-    slope, low, high = _slope(depth[during], force[during])
-    values = [
-        force[last],
-        steady.area_m2.mean(),
-        *center,
-        angle,
-        elongation,
-        steady.peak_pa.mean(),
-        way,
-        _onset_rate(time[during], force[during]),
-        slope,
-        low,
-        high,
-        _relaxation(force[last:]),
-    ]
-    return Physical(np.array(values, dtype=np.float64))
+    shape = (angle, elongation, steady.peak_pa.mean(), way)
+    rates = (_onset_rate(time[during], force[during]), *_slope(depth[during], force[during]), _relaxation(force[last:]))
+    return Physical(np.array([force[last], steady.area_m2.mean(), *center, *shape, *rates], dtype=np.float64))
 
 
 def pressure_axis(pressure_pa: FloatArray, texel_m: tuple[float, float]) -> tuple[float, float]:

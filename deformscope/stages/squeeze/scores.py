@@ -147,9 +147,7 @@ def score_of(
     worth = worth_of(table, protocol, splits, outcomes)
     sure = np.concatenate([one.sure for one in outcomes])
     log_truth = np.concatenate([one.log_truth for one in outcomes])
-    over = np.array(
-        [float(np.mean(one.sure) - accuracy_of(one, target)) if len(one.rows) else np.nan for one in outcomes]
-    )
+    over = np.array([np.mean(one.sure) - accuracy_of(one, target) if len(one.rows) else np.nan for one in outcomes])
     repeats = len(right) / max(len(tested), 1)
     reliability = reliability_of(sure, right, repeats, level)
     filled = reliability.count > 0

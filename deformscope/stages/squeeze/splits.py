@@ -30,7 +30,10 @@ def draw(protocol: Protocol, table: LabelledTable, count: int, seed: int) -> lis
     target = table.target
     group = np.arange(len(table)) if table.group is None else np.unique(table.group, return_inverse=True)[1]
     if protocol == "group":
-        _check_groups(table)
+        if table.group is None:
+            raise InputError("a `group` for each trial", "none", "container or session, or leave splits by group out")
+        if len(single_group_classes(table)) == len(table.classes) or len(np.unique(table.group)) < 2:
+            raise InputError("classes from two groups or more, to train on one and test on another", "one of each")
     drawn = []
     for index in range(count):
         rng = np.random.default_rng([seed, PROTOCOLS.index(protocol), index])
@@ -62,10 +65,7 @@ def _stratified(target: IntArray, group: IntArray, rng: np.random.Generator) -> 
 
 def _by_group(target: IntArray, group: IntArray, rng: np.random.Generator) -> BoolArray:
     """(trials,) which are tested: of the groups of each class their share, at least one; one group at least of each
-    class stays to train.
-
-    That holds where a group has one class (a container) and where it has all (a session).
-    """
+    class stays to train. That holds where a group has one class (a container) and where it has all (a session)."""
     members = np.zeros((int(group.max()) + 1, int(target.max()) + 1), dtype=bool)
     members[group, target] = True
     groups = members.sum(axis=0)
@@ -82,14 +82,6 @@ def _by_group(target: IntArray, group: IntArray, rng: np.random.Generator) -> Bo
 _TESTED = {"random": _random, "stratified": _stratified, "group": _by_group}
 
 
-def _check_groups(table: LabelledTable) -> None:
-    if table.group is None:
-        raise InputError("a `group` for each trial", "none", "container or session, or leave the splits by group out")
-    single = single_group_classes(table)
-    if len(single) == len(table.classes) or len(np.unique(table.group)) < 2:
-        raise InputError("classes from two groups or more, to train on one and test on another", "one group of each")
-
-
 def single_group_classes(table: LabelledTable) -> tuple[str, ...]:
     """Classes that come from one group alone: no split by group can train and test them."""
     if table.group is None:
@@ -104,9 +96,8 @@ def splitting_notes(table: LabelledTable) -> list[str]:
     if single := [one for one, size in sizes.items() if size < 2]:
         notes.append(f"one trial alone of {_listed(single)}: never tested in stratified splits")
     if few := [one for one, size in sizes.items() if 2 <= size < 5]:
-        notes.append(
-            f"fewer than 5 trials of {_listed(few)}: results on {'it' if len(few) == 1 else 'them'} are uncertain"
-        )
+        them = "it" if len(few) == 1 else "them"
+        notes.append(f"fewer than 5 trials of {_listed(few)}: results on {them} are uncertain")
     if alone := single_group_classes(table):
         notes.append(f"{_listed(alone)}: from one group alone, never tested in splits by group")
     return notes

@@ -81,11 +81,8 @@ class LabelledTable:
         """Sets of modalities that are fused, first those of late fusion. NAME_small is NAME in fewer pixels and
         replaces it in a separate set, as in Thesis 2.5.4. Sets are repeated without the modalities in `DERIVED`. A
         single modality alone without others to fuse."""
-        small = {
-            one.removesuffix(SMALL): one
-            for one in self.modalities
-            if one.endswith(SMALL) and one.removesuffix(SMALL) in self.modalities
-        }
+        ending = {one.removesuffix(SMALL): one for one in self.modalities if one.endswith(SMALL)}
+        small = {whole: one for whole, one in ending.items() if whole in self.modalities}
         whole = tuple(one for one in self.modalities if one not in small.values())
         sets = (whole, tuple(small.get(one, one) for one in whole)) if small and len(whole) > 1 else (whole,)
         measured = tuple(tuple(one for one in names if one != DERIVED) for names in sets)
@@ -101,15 +98,14 @@ class LabelledTable:
 
     def rows(self, chosen: BoolArray | IntArray) -> LabelledTable:
         """The trials at these indices (n,), or where a mask (trials,) is true."""
-        return LabelledTable(
-            self.label[chosen],
-            None if self.group is None else self.group[chosen],
-            {name: values[chosen] for name, values in self.modalities.items()},
-            None if self.kind is None else self.kind[chosen],
-            None if self.trial is None else self.trial[chosen],
-            {name: values[chosen] for name, values in self.series.items()},
-            self.step_s,
-            self.settings,
+        return replace(
+            self,
+            label=self.label[chosen],
+            group=None if self.group is None else self.group[chosen],
+            modalities={name: values[chosen] for name, values in self.modalities.items()},
+            kind=None if self.kind is None else self.kind[chosen],
+            trial=None if self.trial is None else self.trial[chosen],
+            series={name: values[chosen] for name, values in self.series.items()},
         )
 
     def of(self, modalities: Sequence[str]) -> LabelledTable:

@@ -47,6 +47,8 @@ OBSERVED_M = 0.001
 """A direction of motion with a smaller deviation is observed."""
 FLATTEST = 0.2
 """Least cosine between a ray and the normal where a pixel counts."""
+TUKEY_CUT = 4.685
+"""Deviations beyond which a residual has no weight (Tukey's biweight)."""
 THIN = (slice(None, None, 2), slice(None, None, 2))
 """Number of the final pixels that are compared."""
 
@@ -193,22 +195,15 @@ def _equations(
         return [], None
     ray = renderer.rays(pixels)
     view = renderer.render(pose, pixels, ray)
-    nothing = np.zeros((*pixels.shape[:2], 0))
-    window = _Window(pixels, ray, view, _shapes(view, ray, pose) if fine else nothing)
-    rows = [
-        _surface_rows(depth, usable, pose, window.part(THIN), reach_m, 2)
-        if fine
-        else _surface_rows(depth, usable, pose, window, reach_m, 4)
-    ]
+    bulge: FloatArray = np.zeros((*pixels.shape[:2], 0))
+    if fine:
+        bulge = bulge_shapes(view, (ray * view.depth_m[..., None] - pose[:3, 3]) @ pose[:3, 2])
+    window = _Window(pixels, ray, view, bulge)
+    some, apart_px = (window.part(THIN), 2) if fine else (window, 4)
+    rows = [_surface_rows(depth, usable, pose, some, reach_m, apart_px)]
     if fine:
         rows.append(_edge_rows(renderer, depth, usable, pose, view.depth_m, (left, top)))
     return rows, window
-
-
-def _shapes(view: ModelView, ray: FloatArray, pose: FloatArray) -> FloatArray:
-    """(H, W, k) of the walls' bulges. ray: (H, W, 3)"""
-    height_m = (ray * view.depth_m[..., None] - pose[:3, 3]) @ pose[:3, 2]
-    return bulge_shapes(view, height_m)
 
 
 def _surface_rows(
@@ -255,7 +250,7 @@ def _edge_rows(
     if not len(at):
         return nothing
     outward = np.column_stack([tangent[:, 1], -tangent[:, 0]])
-    outward *= np.sign(_area(outline))
+    outward *= np.sign(cv2.contourArea(outline.astype(np.float32), oriented=True))
     offset = np.arange(-EDGE_REACH_PX, EDGE_REACH_PX + 1)
     line = np.rint(at[:, None, :] + offset[None, :, None] * outward[:, None, :]).astype(int) + corner  # (m, k, 2)
     high, wide = depth.shape
@@ -295,12 +290,6 @@ def _jumps(
     return one & model.any(axis=1), (last_of_data - last_of_model).astype(np.float64)
 
 
-def _area(outline: FloatArray) -> float:
-    """Signed by the sense in which a closed outline (n, 2) is run through."""
-    x, y = outline.T
-    return float(0.5 * (x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
-
-
 def _rigid(jacobian: FloatArray, residual: FloatArray, deviation: FloatArray, share: float) -> _Rows:
     """Equations of rigid motion alone. jacobian: (n, 6); residual, deviation: (n,) [m]"""
     return _Rows(jacobian, residual, deviation, share, np.zeros((len(residual), 0)))
@@ -322,9 +311,8 @@ def _solve(
         total += square
         right += along
     strength, directions = np.linalg.eigh(total)
-    directions *= np.sign(
-        directions[(np.abs(directions) > 0.3).argmax(axis=0), range(6)]
-    )  # none is all below 1 / 6^0.5
+    large = (np.abs(directions) > 0.3).argmax(axis=0)  # of a unit vector some entry is at least 1 / 6^0.5
+    directions *= np.sign(directions[large, range(6)])
     known = strength > OBSERVED_M**-2
     to_rest = np.linalg.solve(turn, _between(pose, rest))
     along = np.where(known, (directions.T @ right) / np.maximum(strength, 1e-12), directions.T @ to_rest)
@@ -356,13 +344,13 @@ def _bulges(jacobian: FloatArray, residual: FloatArray, bulge: FloatArray, weigh
     return np.asarray(found[6:])
 
 
-def _tukey(residual: FloatArray, cut: float = 4.685) -> FloatArray:
+def _tukey(residual: FloatArray) -> FloatArray:
     """Weights (n,) of residuals (n,) in deviations (Tukey's biweight). The deviation is estimated from them if it is
     larger than assumed, so that a start away from the pose converges to it."""
     if not len(residual):
         return residual
     scale = max(1.4826 * float(np.median(np.abs(residual))), 1.0)
-    return np.asarray(np.maximum(1.0 - (residual / (cut * scale)) ** 2, 0.0) ** 2)
+    return np.asarray(np.maximum(1.0 - (residual / (TUKEY_CUT * scale)) ** 2, 0.0) ** 2)
 
 
 def _between(pose: FloatArray, other: FloatArray) -> FloatArray:

@@ -3,6 +3,7 @@ the other."""
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -93,19 +94,11 @@ def _joined(
                 gram += both @ both.T
         space = project(np.zeros((len(split.train), width)), np.zeros((len(split.test), width)), gram)
         return Sides(split.train, split.test, space)
-    train = _common([rows for rows, *_ in scaled.values()])
-    test = _common([rows for _, rows, *_ in scaled.values()])
+    train = functools.reduce(np.intersect1d, [rows for rows, *_ in scaled.values()])
+    test = functools.reduce(np.intersect1d, [rows for _, rows, *_ in scaled.values()])
     one = np.concatenate([four[2][np.isin(four[0], train)] for four in scaled.values()], axis=1)
     other = np.concatenate([four[3][np.isin(four[1], test)] for four in scaled.values()], axis=1)
     return Sides(train, test, project(one, other))
-
-
-def _common(rows: Sequence[IntArray]) -> IntArray:
-    """(n,) trials that are in all of these index arrays (n,), sorted, as each of them is."""
-    found = rows[0]
-    for more in rows[1:]:
-        found = np.intersect1d(found, more)
-    return found
 
 
 def run_split(

@@ -116,7 +116,7 @@ def test_slopes_are_the_surfaces_finite_differences_and_so_is_their_deviation() 
     rng = np.random.default_rng(4)
     places = with_a_hole(rng, 400)
     points = np.column_stack([places, drawn(rng, places) + rng.normal(size=400) * 1e-3])
-    surface = fit_surface(points, sigma_e_m=KERNEL.sigma_e, sigma_w_m=KERNEL.sigma_w)
+    surface = fit_surface(points)
     asked = np.array([[0.1, 0.1], [0.35, 0.2], [0.55, 0.05]])
     step = 1e-4
     slope = surface.slopes(asked)
@@ -125,10 +125,10 @@ def test_slopes_are_the_surfaces_finite_differences_and_so_is_their_deviation() 
         ahead, behind = surface.at(asked + away), surface.at(asked - away)
         np.testing.assert_allclose(slope.mean[:, axis], (ahead.mean - behind.mean) / (2 * step), atol=1e-5)
         # covariance of the two heights, by the exact process
-        factor = cho_factor(KERNEL.between(places, places) + np.diag(surface.noise_m**2))
+        factor = cho_factor(surface.kernel.between(places, places) + np.diag(surface.noise_m**2))
         both = np.concatenate([asked + away, asked - away])
-        across = KERNEL.between(places, both)
-        covariance = KERNEL.between(both, both) - across.T @ cho_solve(factor, across)
+        across = surface.kernel.between(places, both)
+        covariance = surface.kernel.between(both, both) - across.T @ cho_solve(factor, across)
         n = len(asked)
         differences = np.hstack([np.eye(n), -np.eye(n)]) / (2 * step)
         variance = np.diag(differences @ covariance @ differences.T)
@@ -156,20 +156,6 @@ def test_tactile_points_are_believed_as_they_are_and_do_not_scale_with_the_camer
     mean, deviation = exact(surface, every, noise, asked)
     np.testing.assert_allclose(surface.at(asked).mean, mean, atol=1e-6)
     np.testing.assert_allclose(surface.at(asked).deviation, deviation, rtol=2e-3)
-
-
-def test_what_the_user_fixes_is_kept() -> None:
-    rng = np.random.default_rng(7)
-    points = np.column_stack([rng.uniform(size=(50, 2)) * SIZE, rng.normal(size=50) * 1e-3])
-    surface = fit_surface(
-        points, noise_m=np.full(50, 2e-3), sigma_e_m=0.004, sigma_w_m=0.1 * np.sqrt(2.0), noise_scale=1.0
-    )
-    assert surface.kernel.sigma_e == pytest.approx(0.004)
-    assert surface.kernel.length_m == pytest.approx(0.1)
-    np.testing.assert_allclose(surface.noise_m, 2e-3)
-    partly = fit_surface(points, sigma_w_m=0.2)
-    assert partly.kernel.sigma_w == pytest.approx(0.2)
-    assert partly.kernel.sigma_e != pytest.approx(0.004)
 
 
 def test_constant_few_and_repeated_points_still_make_a_surface() -> None:
@@ -211,9 +197,9 @@ def test_far_from_all_points_the_surface_falls_back_to_what_is_known_before() ->
     rng = np.random.default_rng(10)
     places = rng.uniform(size=(200, 2)) * [0.2, 0.4]
     points = np.column_stack([places, drawn(rng, places)])
-    surface = fit_surface(points, sigma_e_m=0.008, sigma_w_m=0.06, within_m=((0.0, 0.0), (0.6, 0.4)))
-    far = surface.at(np.array([[0.55, 0.2]]))
-    assert far.deviation[0] == pytest.approx(0.008, rel=1e-3)
+    surface = fit_surface(points, within_m=((0.0, 0.0), (0.8, 0.4)))
+    far = surface.at(np.array([[0.75, 0.2]]))
+    assert far.deviation[0] == pytest.approx(surface.kernel.sigma_e, rel=1e-3)
     assert far.mean[0] == pytest.approx(surface.level_m, abs=1e-6)
 
 
@@ -226,7 +212,7 @@ def test_far_from_all_points_the_surface_falls_back_to_what_is_known_before() ->
         (np.zeros((5, 3)), {"noise_m": np.zeros(5)}, "noise above 0"),
         (np.zeros((5, 3)), {"noise_m": np.ones(4)}, "a noise for each"),
         (np.zeros((5, 3)), {"known_m": np.zeros((2, 3))}, "known_noise_m"),
-        (np.random.default_rng(0).uniform(size=(50, 3)), {"sigma_w_m": 0.01}, "inducing points"),
+        (np.random.default_rng(0).uniform(size=(50, 3)), {"within_m": ((0.0, 0.0), (1e3, 1e3))}, "inducing points"),
     ],
 )
 def test_what_makes_no_surface_is_refused(points: FloatArray, options: dict[str, FloatArray], match: str) -> None:

@@ -72,9 +72,9 @@ def test_each_poke_has_its_stiffness_and_the_field_is_judged_by_pokes_left_out()
     np.testing.assert_allclose(reported.model.stiffness, [40.0] * 5 + [90.0] * 5, rtol=0.02)
     assert reported.model.field_kind == "materials"
     beside = Poke(np.array([0.15, 0.05, 0.03]), Tip("flat", (0.02, 0.02)), depth=1e-3)
-    met = reported.model.stiffness_at(beside, SPACING)
-    assert met.value == pytest.approx(90.0, rel=0.03)
-    assert met.interval[0] < 90.0 < met.interval[1]
+    value, (low, high) = reported.model.stiffness_at(beside, SPACING)
+    assert value == pytest.approx(90.0, rel=0.03)
+    assert low < 90.0 < high
     assert [row.stiffness_n_per_m for row in reported.rows()] == pytest.approx(reported.model.stiffness.tolist())
     # each has pokes of its own material beside it, none stands on the border; the other material is -56 or +125 % off
     assert np.abs(reported.model.left_out).max() < 0.15

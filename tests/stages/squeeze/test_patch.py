@@ -115,8 +115,6 @@ def test_words_of_what_is_wrong() -> None:
         depth_change(renderer, REST, np.ones(SHAPE), np.array([0.0, 0.0, -1.0]))
     with pytest.raises(InputError, match="10% of the container"):
         depth_change(renderer, REST, np.zeros(SHAPE), np.array([0.0, 0.0, 0.9]))
-    with pytest.raises(InputError, match="an odd number"):
-        depth_change(renderer, REST, np.ones(SHAPE), np.array([0.0, 0.0, 0.9]), side_px=60)
 
 
 def test_a_links_pixels_are_those_of_its_points_wherever_it_is() -> None:
