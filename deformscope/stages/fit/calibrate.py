@@ -14,22 +14,9 @@ from threadpoolctl import threadpool_limits
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
+from deformscope.stages.fit import doubts
 from deformscope.stages.fit.at_value import at_value
 from deformscope.stages.fit.distance import distances, explained_share, nearest_error, unexplained
-from deformscope.stages.fit.doubts import (
-    NOISE_NAMED,
-    bulging,
-    found_in_numbers,
-    implausible_lengths,
-    known_of,
-    mirrored,
-    noise_source,
-    of_stiffness,
-    ordered,
-    residual_ratio,
-    setting,
-    swapped_axes,
-)
 from deformscope.stages.fit.dynamics import MovingSearch, Pace
 from deformscope.stages.fit.estimate import (
     Comparison,
@@ -126,7 +113,7 @@ def calibrate(
     value = float(fit.tried.parameter[best])
     ends = inferred.posterior.shortest(options.level, value)
     used["noise"] = inferred.noise
-    used["noise_source"] = noise_source(seen)
+    used["noise_source"] = doubts.noise_source(seen)
     comparisons = tuple(
         Comparison(s.rest, s.deformed, p[best], s.observed, s.held, s.unit)
         for s, p in zip(seen, fit.tried.positions, strict=True)
@@ -146,7 +133,7 @@ def calibrate(
         floor=inference.floor,
         rank=inferred.posterior.rank(value),
         converged=converged,
-        doubts=shown,
+        found=shown,
         added=held_off(seen, stated),
         stiffness=k,
         contact_stiffness=None if one_motion else contact_stiffness(seen, options.level),
@@ -169,8 +156,8 @@ def _put_held_right(fit: Search, options: FitOptions) -> tuple[Search, tuple[Int
     if not any(len(one) for one in off):
         return fit, off, []
     inference, best, right = Inference(as_stated, options.seed), as_stated.best(), fit.best()
-    ratio = residual_ratio(fit.seen, [position[right] for position in fit.tried.positions], inference.floor)
-    if ratio is None or ratio > NOISE_NAMED:  # more is wrong than that
+    ratio = doubts.residual_ratio(fit.seen, [position[right] for position in fit.tried.positions], inference.floor)
+    if ratio is None or ratio > doubts.NOISE_NAMED:  # more is wrong than that
         return as_stated, none, []
     left, count = 0.0, 0
     for row, part in enumerate(inference.parts):
@@ -227,15 +214,15 @@ def estimate_of(
     floor: float,
     rank: float | None = None,
     converged: bool,
-    doubts: Sequence[Doubt],
+    found: Sequence[Doubt],
     added: Iterable[Doubt] = (),
     stiffness: tuple[float, tuple[float, float]] | None,
     **given: Any,
 ) -> Estimate:
     """The estimate of one fitted parameter, its value and interval, with its verdicts.
 
-    floor: least noise [unit]; rank: as in `found_in_numbers`; added: doubts that follow those of the numbers and the
-    shapes; given: the remaining fields of the `Estimate`"""
+    floor: least noise [unit]; rank: as in `found_in_numbers`; found: further doubts; added: doubts that follow those of
+    the numbers and the shapes; given: the remaining fields of the `Estimate`"""
     parameter, value, ends = fitted
     bounds, simulated = options.bounds, [c.simulated for c in comparisons]
     known = Identifiability(
@@ -244,10 +231,11 @@ def estimate_of(
         deviation=inferred.posterior.deviation(),
         misfit=float(np.sqrt(np.mean([one.misfit() ** 2 for one in inferred.explanations]))),
     )
-    noise = residual_ratio(seen, simulated, floor), inferred.noise, noise_source(seen)
-    judge = partial(found_in_numbers, parameter, value, ends, bounds, known, converged=converged, seen=seen)
-    here = [setting(seen, options.model, known.misfit, inferred.noise)] if parameter == "theta" else []
-    reasons = ordered([*judge(noise=noise, rank=rank), *doubts, *here, *added])
+    noise = doubts.residual_ratio(seen, simulated, floor), inferred.noise, doubts.noise_source(seen)
+    judge = partial(doubts.found_in_numbers, parameter, value, ends, bounds, known, converged=converged, seen=seen)
+    here = [doubts.setting(seen, options.model, known.misfit, inferred.noise)] if parameter == "theta" else []
+    reasons = doubts.ordered([*judge(noise=noise, rank=rank), *found, *here, *added])
+    of_stiffness = doubts.of_stiffness(reasons)
     free = [distances(c.simulated, c.observed)[s.free_observed] for c, s in zip(comparisons, seen, strict=True)]
     return Estimate(
         parameter=parameter,
@@ -256,7 +244,7 @@ def estimate_of(
         level=options.level,
         bounds=bounds,
         verdict=verdict(ends, bounds, known, reasons),
-        stiffness_verdict="unidentified" if stiffness is None else relative_verdict(*stiffness, of_stiffness(reasons)),
+        stiffness_verdict="unidentified" if stiffness is None else relative_verdict(*stiffness, of_stiffness),
         aee_free=float(np.concatenate(free).mean()),
         nearest=float(np.mean([nearest_error(c.simulated[c.seen], c.observed[c.seen]) for c in comparisons])),
         unit=seen[0].unit,
@@ -272,9 +260,9 @@ def estimate_of(
 
 def shape_doubts(seen: Sequence[Observation]) -> Iterator[Doubt]:
     """What the shapes alone show: units and mirrored axes."""
-    yield from implausible_lengths(seen)
+    yield from doubts.implausible_lengths(seen)
     for one in seen:
-        if reasons := list(mirrored(one.rest, one.deformed, known_of(one))):
+        if reasons := list(doubts.mirrored(one.rest, one.deformed, doubts.known_of(one))):
             yield reasons[0]
             return
 
@@ -289,46 +277,32 @@ def _in_residuals(search: Search, best: int, inference: Inference, rival: float 
         each = zip(search.seen, search.bodies, shapes, strict=True)
         return [search.relax(body, shape[one.held], tried, None).settled for one, body, shape in each]
 
-    bulge = bulging(search.seen, search.bodies, search.values(tried)[0])
-    yield from swapped_axes(search.seen, simulate, bulge, search.weight, rival)
+    bulge = doubts.bulging(search.seen, search.bodies, search.values(tried)[0])
+    yield from doubts.swapped_axes(search.seen, simulate, bulge, search.weight, rival)
     yield from _two_betas(search, best, inference, rival)
 
 
 def _two_betas(search: Search, best: int, inference: Inference, rival: float = np.inf) -> Iterator[Doubt]:
     """Doubts that simulations with two betas show."""
     model = search.model
-    positions = [position[best] for position in search.tried.positions]
-    beta, _ = search.values(float(search.tried.parameter[best]))
+    beta, theta = (float(one) for one in search.values(float(search.tried.parameter[best])))
     grouped = [model.grouping(one) for one in search.seen]
     if any(one.count < 2 for one in grouped):
         return
-    bodies = [
-        FittedBody(
-            part=part,
-            grouped=group,
-            position=position,
-            response=inference.response(row, best),
-            others=np.zeros((0, *part.observed.shape)),
-            states=partial(_states, search, row, best),
-            weight=float(weight),
-        )
-        for row, (part, group, position, weight) in enumerate(
-            zip(inference.parts, grouped, positions, search.weight, strict=True)
-        )
-    ]
+
+    def states(row: int, stretched: FloatArray) -> FloatArray:
+        """(B, K, d) of one observation for -log(1 - beta) of each cluster (B, C), theta as at the best candidate."""
+        one = search.seen[row]
+        how: Any = {"volume": model.volume, "start": search.tried.positions[row][best]}
+        return search.bodies[row].relax(one.deformed[one.held], -np.expm1(-stretched), theta, **how).settled
+
+    bodies = []
+    for row, (part, group, weight) in enumerate(zip(inference.parts, grouped, search.weight, strict=True)):
+        position, response = search.tried.positions[row][best], inference.response(row, best)
+        nothing = np.zeros((0, *part.observed.shape))
+        bodies.append(FittedBody(part, group, position, response, nothing, partial(states, row), float(weight)))
     top = search.bounds[1] if model.parameter == "beta" else BETA_LIMIT
-    yield from two_materials(bodies, float(beta), top, rival)
-
-
-def _states(search: Search, row: int, best: int, stretched: FloatArray) -> FloatArray:
-    """(B, K, d) of one observation for -log(1 - beta) of each cluster (B, C), theta as at the best candidate."""
-    one, body = search.seen[row], search.bodies[row]
-    _, theta = search.values(float(search.tried.parameter[best]))
-    start = search.tried.positions[row][best]
-    state = body.relax(
-        one.deformed[one.held], -np.expm1(-stretched), float(theta), volume=search.model.volume, start=start
-    )
-    return state.settled
+    yield from two_materials(bodies, beta, top, rival)
 
 
 def explained(seen: Sequence[Observation], simulated: Sequence[FloatArray]) -> float:

@@ -68,7 +68,7 @@ class Branches:
         """Strengths (d, b) and retardation times (d, b) [s] of parameters (d, k)."""
         return _exp(parameters[:, : self.count]), _exp(parameters[:, self.count :])
 
-    def felt(self, parameters: FloatArray, filtered: Filtered) -> tuple[FloatArray, FloatArray]:
+    def added(self, parameters: FloatArray, filtered: Filtered) -> tuple[FloatArray, FloatArray]:
         """(d, m) contribution of the filters to the force, and (d, k, m) its derivatives."""
         strength, log_l = _exp(parameters[:, : self.count, None]), parameters[:, self.count :]
         each = strength * filtered(log_l, 0)
@@ -102,11 +102,10 @@ class Endless:
         return np.array(means), np.array([STRENGTH_SPREAD, POWER_SD])
 
     def filters(self, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
-        return self._strengths(parameters)[0], np.broadcast_to(
-            np.exp(self.log_times), (len(parameters), len(self.within))
-        )
+        strengths = self._strengths(parameters)[0]
+        return strengths, np.broadcast_to(np.exp(self.log_times), strengths.shape)
 
-    def felt(self, parameters: FloatArray, filtered: Filtered) -> tuple[FloatArray, FloatArray]:
+    def added(self, parameters: FloatArray, filtered: Filtered) -> tuple[FloatArray, FloatArray]:
         strength, by_power = self._strengths(parameters)
         behind = filtered(self.log_times, 0)
         added = strength @ behind

@@ -126,8 +126,8 @@ OF_STIFFNESS: tuple[DoubtCode, ...] = (
 
 def of_stiffness(reasons: Iterable[Doubt]) -> list[Doubt]:
     """The reasons that concern the stiffness too, which is in N/m: doubts about units always lower its verdict."""
-    kept = [one for one in reasons if one.code in OF_STIFFNESS]
-    return kept + [Doubt(one.code, one.text, one.allows or "weak") for one in reasons if one.code == "units"]
+    some = [one for one in reasons if one.code in OF_STIFFNESS]
+    return some + [Doubt(one.code, one.text, one.allows or "weak") for one in reasons if one.code == "units"]
 
 
 def not_converged(converged: bool) -> Iterator[Doubt]:
@@ -197,9 +197,9 @@ def _still(seen: Sequence[Observation], share: float) -> str:
         held, every = max(held, float(away[one.held].max(initial=0.0))), [*every, away[known]]
         noise += [] if one.noise is None else [float(np.median(one.noise[known]))]
     unit = seen[0].unit
-    beside = f"; the noise of a position is {np.median(noise):.2g} {unit}" if noise else ""
+    noisy = f"; the noise of a position is {np.median(noise):.2g} {unit}" if noise else ""
     moved_most = f"{np.quantile(np.concatenate(every), MOST):.2g} {unit}"
-    return f"nothing moved: the held particles by {held:.2g} {unit} at most, {MOST:.0%} of all by {moved_most}{beside}"
+    return f"nothing moved: the held particles by {held:.2g} {unit} at most, {MOST:.0%} of all by {moved_most}{noisy}"
 
 
 def value_at_end(
@@ -237,7 +237,6 @@ def residual_ratio(seen: Sequence[Observation], simulated: Sequence[FloatArray],
 
 NORMAL_MEDIAN = 0.6745
 """Median of the absolute value of a standard normal number."""
-
 
 NOISE_WORDS: dict[NoiseSource, str] = {"given": "the given noise", "flow": "the noise estimated from the optical flow"}
 
@@ -392,10 +391,9 @@ def swapped_axes(
         as_is, as_is_share = min((as_is, as_is_share), left(np.eye(dim), bulge))
         least, share = min((least, share), left(matrix, bulge))
     if better():
-        explained = (
-            f"{max(1.0 - share, 0.0):.0%} of the motion is explained, as it is {max(1.0 - as_is_share, 0.0):.0%}"
-        )
-        yield Doubt("axes-swapped", f"with {words} in the displacements {explained}", "unidentified")
+        now, then = max(1.0 - as_is_share, 0.0), max(1.0 - share, 0.0)
+        text = f"with {words} in the displacements {then:.0%} of the motion is explained, as it is {now:.0%}"
+        yield Doubt("axes-swapped", text, "unidentified")
 
 
 # What a value holds for ----------------------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -47,9 +48,8 @@ def step_through(
     before = body.rest[body.held]
     found = np.empty((len(beta), len(held), *body.rest.shape))
     for index, (target, steps) in enumerate(zip(held, pace.steps(), strict=True)):
-        found[:, index] = body.step(
-            state, target, beta, theta, volume=volume, alpha=pace.alpha, dt=pace.dt, steps=steps, held_from=before
-        )
+        how: Any = {"volume": volume, "alpha": pace.alpha, "dt": pace.dt, "steps": steps, "held_from": before}
+        found[:, index] = body.step(state, target, beta, theta, **how)
         before = target
         if progress is not None:
             progress(index + 1, len(held))

@@ -74,8 +74,7 @@ def limited(found: Verdict, reasons: Sequence[Doubt]) -> Verdict:
 class Curve:
     """The error over the parameter.
 
-    parameter: (n,) values tried, rising; aee: (n,) average Euclidean error there [the estimate's unit], NaN if diverged
-    """
+    parameter: (n,) values tried, rising; aee: (n,) average Euclidean error [the estimate's unit], NaN if diverged"""
 
     parameter: FloatArray
     aee: FloatArray
@@ -156,8 +155,7 @@ class Choice:
 
     held: the parts whose motion is prescribed; alpha, dt [s]: of time stepping, None for static states, which neither
     alters; held_out, fit: mean error on particles left out, and of the same ones when fitted [the estimate's unit];
-    scatter: standard error of held_out relative to the best choice's; value: the parameter with it; chosen: it was used
-    """
+    scatter: standard error of held_out relative to the best choice's; value: the parameter with it; chosen: in use"""
 
     cluster_size: int | None = field(metadata=reported())
     held: tuple[str, ...] = field(metadata=reported())
@@ -237,9 +235,8 @@ class Estimate(ReportedResult):
             texts.append(f"{value:.3g} N/mm at the contact ({low:.3g} to {high:.3g})")
         if self.stiffness is not None:
             value, (low, high) = self.stiffness
-            texts.append(
-                f"the model's constant k is {self.stiffness_verdict}: {value:.4g} N/m ({low:.4g} to {high:.4g})"
-            )
+            found = f"{self.stiffness_verdict}: {value:.4g} N/m ({low:.4g} to {high:.4g})"
+            texts.append(f"the model's constant k is {found}")
         return "; ".join(texts) or "position alone does not identify stiffness here: give a force"
 
     aee: float
@@ -262,11 +259,8 @@ class Estimate(ReportedResult):
     @derived(key="curve")
     def curve_json(self) -> dict[str, object]:
         """The curve, in metres where the scale is known."""
-        return {
-            "parameter": self.curve.parameter,
-            "aee": self.curve.aee * self._scale,
-            "unit": "px" if self.metres_per_unit is None else "m",
-        }
+        unit = "px" if self.metres_per_unit is None else "m"
+        return {"parameter": self.curve.parameter, "aee": self.curve.aee * self._scale, "unit": unit}
 
     @property
     @derived()

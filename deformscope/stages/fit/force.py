@@ -33,17 +33,15 @@ def contact_stiffness(seen: Sequence[Observation], level: float) -> tuple[float,
     """Secant stiffness at the contact [N/mm], of all observations with a force; None without one.
 
     It is the force over the mean displacement of the contact's particles, with the noise of both."""
-    force, depth, force_sd, depth_sd = [], [], [], []
+    rows = []
     for s in seen:
         if s.force_n is None or s.metres_per_unit is None or not len(s.touched):
             continue
         moved = float(np.linalg.norm((s.deformed - s.rest)[s.touched].mean(axis=0))) * s.metres_per_unit
         noise = 0.0 if s.noise is None else float(np.sqrt(np.mean(s.noise[s.touched] ** 2) / len(s.touched)))
-        force.append(s.force_n)
-        depth.append(moved)
-        force_sd.append(FORCE_SHARE * s.force_n if s.force_noise_n is None else s.force_noise_n)
-        depth_sd.append(noise * s.metres_per_unit)
-    return secant(np.array(force), np.array(depth), np.array(force_sd), np.array(depth_sd), level)
+        force_sd = FORCE_SHARE * s.force_n if s.force_noise_n is None else s.force_noise_n
+        rows.append((s.force_n, moved, force_sd, noise * s.metres_per_unit))
+    return secant(*np.array(rows, dtype=np.float64).reshape(-1, 4).T, level)
 
 
 def secant(
@@ -98,10 +96,10 @@ def stiffness(
     deviation = np.where(deviation > 0.0, deviation, 1.0)
     a, b = simulated / deviation, measured / deviation
     size = np.sum(a**2, axis=1)
-    felt = np.where(size > 0.0, size, 1.0)
-    k = np.where(size > 0.0, a @ b / felt, np.nan)
+    divisor = np.where(size > 0.0, size, 1.0)
+    k = np.where(size > 0.0, a @ b / divisor, np.nan)
     scatter = np.sum((b - k[:, None] * a) ** 2, axis=1) / max(len(rows) - 1, 1)
-    return Stiffness(k, np.sqrt(np.maximum(scatter, 1.0) / felt))
+    return Stiffness(k, np.sqrt(np.maximum(scatter, 1.0) / divisor))
 
 
 def stiffness_interval(

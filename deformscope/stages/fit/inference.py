@@ -9,8 +9,7 @@ parameter. The part that the parameter does not change shows the size of the err
 
 If misfit exceeds the noise, a few projections of the residuals, which the parameter can change, identify it, with the
 noise of the first step. In that case an estimate is no sharper than that of least squares. Weighting every detail by a
-guessed covariance (as generalised least squares does) would treat the finest part of a misfit as information. Fits of
-versions 1 and 2 always used these projections."""
+guessed covariance (as generalised least squares does) would treat the finest part of a misfit as information."""
 
 from __future__ import annotations
 
@@ -145,9 +144,9 @@ class Inference:
         """(f,) log likelihood by all that the residuals are: identifies their causes."""
         part = self.parts[row]
         each = [part.errors.evidence(residual, response, part.chosen, mix) for response in responses]
-        mixed = [np.sum(share[:, None] * np.stack(some), axis=0) for some in zip(*map(_fields, each), strict=True)]
-        found = Evidence(*mixed)
-        self._found[row] = found
+        names = ("log_likelihood", "log_scale", "log_scale_deviation")
+        parts = ([getattr(one, name) for one in each] for name in names)
+        self._found[row] = found = Evidence(*(np.sum(share[:, None] * np.stack(some), axis=0) for some in parts))
         return np.asarray(logsumexp(found.log_likelihood, axis=0))
 
     def _summarise(
@@ -198,7 +197,3 @@ def _shares(nodes: FloatArray, at: FloatArray) -> FloatArray:
     if len(nodes) == 1:
         return np.ones((1, len(at)))
     return np.stack([np.interp(at, nodes, one) for one in np.eye(len(nodes))])
-
-
-def _fields(one: Evidence) -> tuple[FloatArray, FloatArray, FloatArray]:
-    return one.log_likelihood, one.log_scale, one.log_scale_deviation

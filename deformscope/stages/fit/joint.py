@@ -118,7 +118,7 @@ def _fitted(options: JointOptions, seen: Sequence[Observation]) -> list[FloatArr
 
 
 class _Joint:
-    """The grid over both, and every error that was met."""
+    """The grid over both, and the errors of all that was simulated."""
 
     def __init__(self, seen: Sequence[Observation], options: JointOptions, left_out: Sequence[LeftOut] = ()) -> None:
         self.seen, self.options, self.left_out = list(seen), options, left_out
@@ -205,10 +205,7 @@ class _Joint:
         grid = self.shrink(b)
         density = np.exp(total - total.max())
         density /= np.trapezoid(np.trapezoid(density, t, axis=1), grid)
-        marginals = [
-            Posterior(grid, np.trapezoid(density, t, axis=1)),
-            Posterior(t, np.trapezoid(density, grid, axis=0)),
-        ]
+        each = (grid, np.trapezoid(density, t, axis=1)), (t, np.trapezoid(density, grid, axis=0))
         over = (density * np.gradient(grid)[:, None] * np.gradient(t)).ravel()
         explanations = tuple(part.explanation for part in self.parts)
         states = self.simulate(np.array([beta]), np.array([theta]))
@@ -219,8 +216,8 @@ class _Joint:
         noise = white_noise(explanations, self.parts)
         k = self._stiffness(grid, t, density, (beta, theta), explanations)
         found = [
-            Inferred(marginal, explanations, noise, separation, self.converged)
-            for marginal, separation in zip(marginals, rise, strict=True)
+            Inferred(Posterior(*marginal), explanations, noise, separation, self.converged)
+            for marginal, separation in zip(each, rise, strict=True)
         ]
         doubts = [*shape_doubts(self.seen), *(self._in_residuals(beta, theta, comparisons) if self.converged else ())]
         of_beta = self._estimate("beta", beta, found[0], comparisons, aee, k, doubts)
@@ -258,23 +255,22 @@ class _Joint:
             return [body.relax(shape[one.held], betas, thetas, volume="project").settled for one, body, shape in each]
 
         yield from swapped_axes(self.seen, simulate, bulging(self.seen, self.bodies, tried))
-        here = (beta, theta)
         grouped = [self.options.model.grouping(one) for one in self.seen]
         if any(one.count < 2 for one in grouped):
             return
-        beside = np.clip(theta + np.array([-1.0, 1.0]) * THETA_STEP, *self.options.theta_bounds)
+        around = np.clip(theta + np.array([-1.0, 1.0]) * THETA_STEP, *self.options.theta_bounds)
         bodies = []
         for row, (part, group, compared) in enumerate(zip(self.parts, grouped, comparisons, strict=True)):
             held = self.seen[row].deformed[self.seen[row].held]
-            by_theta = self.bodies[row].relax(held, beta, beside, volume="project", start=compared.simulated).position
-            slope = (by_theta[1] - by_theta[0])[part.judged] / np.ptp(beside)
+            by_theta = self.bodies[row].relax(held, beta, around, volume="project", start=compared.simulated).position
+            slope = (by_theta[1] - by_theta[0])[part.judged] / np.ptp(around)
 
             def changed(stretched: FloatArray, row: int = row, held: FloatArray = held) -> FloatArray:
                 start = comparisons[row].simulated
                 found = self.bodies[row].relax(held, -np.expm1(-stretched), theta, volume="project", start=start)
                 return found.settled
 
-            response = self._response(part, *here, compared.simulated)
+            response = self._response(part, beta, theta, compared.simulated)
             bodies.append(FittedBody(part, group, compared.simulated, response, slope[None], changed))
         yield from two_materials(bodies, beta, bounds[1])
 
@@ -332,7 +328,7 @@ class _Joint:
             FitOptions(options.model, bounds, level=options.level),
             floor=max(part.measured.floor for part in self.parts),
             converged=self.converged,
-            doubts=doubts,
+            found=doubts,
             stiffness=k,
             contact_stiffness=contact_stiffness(self.seen, options.level),
             aee=aee,

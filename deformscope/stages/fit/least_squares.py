@@ -142,6 +142,6 @@ def half_width(covariance: FloatArray, level: float, freedom: int) -> FloatArray
     return np.asarray(wide * np.sqrt(np.maximum(np.diag(covariance), 0.0)))
 
 
-def worse_than(level: float, parameters: int = 1) -> float:
+def worse_than(level: float) -> float:
     """Number of noise variances by which a sum of squares may exceed the least, in `level` of all repeats."""
-    return float(2.0 * gammaincinv(0.5 * parameters, level))  # chi-squared
+    return float(2.0 * gammaincinv(0.5, level))  # chi-squared with one degree of freedom

@@ -35,9 +35,8 @@ class Motion:
 
     def __post_init__(self) -> None:
         if self.position.ndim != 3 or self.position.shape[1:] != self.rest.shape or not len(self.position):
-            raise InputError(
-                f"positions of shape (T, {', '.join(map(str, self.rest.shape))})", str(self.position.shape)
-            )
+            wanted = f"positions of shape (T, {', '.join(map(str, self.rest.shape))})"
+            raise InputError(wanted, str(self.position.shape))
         if self.held.shape != self.position.shape[:2]:
             raise InputError(f"held of shape {self.position.shape[:2]}", str(self.held.shape))
         if not np.isfinite(self.position[self.held]).all():
@@ -46,9 +45,7 @@ class Motion:
             raise InputError("held particles in every frame", "a frame without", "hold the fixed part")
         if not self.judged.any():
             raise InputError("free particles that were observed", "none", "hold fewer particles")
-        if self.duration is not None and not (
-            self.duration.shape == (len(self.position),) and (self.duration > 0.0).all()
-        ):
+        if (some := self.duration) is not None and (some.shape != (len(self.position),) or not (some > 0.0).all()):
             raise InputError("a positive duration for each frame", str(self.duration))
 
     @property

@@ -80,8 +80,8 @@ SCALE_ROUNDS = 6
 
 OFFS = ((1.0, 1.0, 0.35), (2.5, 1.0, 0.15), (1.0, 2.5, 0.35), (2.5, 2.5, 0.15))
 """Possible standard deviations of errors of camera and tool, in units of `systematic`'s, and their prior: a
-registration or a scale may be worse than most. Versions before 3 have the first alone, with which the intervals of 80
-bodies of tuning seeds (`studies.seeds`) with a tool off by 1 mm held in 0.81."""
+registration or a scale may be worse than most. With the first alone the intervals of 80 bodies of tuning seeds
+(`studies.seeds`) with a tool off by 1 mm held in 0.81."""
 
 SCALE_LEAST = 0.05
 """Ratio to the stated noise below which residuals are no sample of it (smoothed data): the stated value is used."""
@@ -226,16 +226,9 @@ class ErrorModel:
         offs = OFFS if self.measured.touched is not None else OFFS[:1]
         camera, tool, weight = np.repeat(offs, len(rows), axis=0).T
         held_, shared_, field_, length_, size_, log_prior = np.tile(np.array(rows, dtype=np.float64), (len(offs), 1)).T
-        return NoiseHypotheses(
-            held=held_ > 0.0,
-            shared=shared_ > 0.0,
-            field=field_.astype(np.int64),
-            length=length_,
-            size=size_,
-            camera=camera,
-            tool=tool,
-            log_prior=log_prior + (np.log(weight) if len(offs) > 1 else 0.0),
-        )
+        log_prior = log_prior + (np.log(weight) if len(offs) > 1 else 0.0)
+        index = field_.astype(np.int64)
+        return NoiseHypotheses(held_ > 0.0, shared_ > 0.0, index, length_, size_, camera, tool, log_prior)
 
     def modes(self, response: FloatArray, *, held: bool) -> FloatArray:
         """Effect (n, d, q) on the residuals of errors of the tool and the camera, one deviation each, from a response
@@ -256,16 +249,15 @@ class ErrorModel:
         return np.concatenate([by_camera, by_tool], axis=-1)
 
     def _basis(self, key: Field) -> _Basis:
-        if key not in self._bases:
-            self._bases[key] = self._find_basis(*key)
-        return self._bases[key]
-
-    def _find_basis(self, which: int, length: float, held: bool, shared: bool) -> _Basis:
+        if key in self._bases:
+            return self._bases[key]
+        which, length, held, shared = key
         place, noise = self.measured.rest, self.noise
-        if held and not shared:  # what the free particles alone have, and white noise beside it
+        if held and not shared:  # the free particles' own, and white noise of the prescribed ones
             free = self._basis((which, length, False, False))
             rotate = block_diag(free.rotate, np.diag(1.0 / self.held_noise))
-            return _Basis(rotate, np.concatenate([free.moment, np.zeros(len(self.held_noise))]))
+            found = _Basis(rotate, np.concatenate([free.moment, np.zeros(len(self.held_noise))]))
+            return self._bases.setdefault(key, found)
         if shared and held and self.measured.held_rest is not None:
             place = np.concatenate([place, self.measured.held_rest])
             noise = np.concatenate([noise, self.held_noise])
@@ -274,7 +266,7 @@ class ErrorModel:
             field = (1.0 - MISFIT_ROUGH) * field + MISFIT_ROUGH * np.eye(len(field))
         field *= float(np.mean(self.noise**2))
         moment, vectors = eigh(field / noise[:, None] / noise, check_finite=False, driver="evd")
-        return _Basis(vectors.T / noise, np.maximum(moment, 0.0))
+        return self._bases.setdefault(key, _Basis(vectors.T / noise, np.maximum(moment, 0.0)))
 
     def evidence(
         self, residual: FloatArray, response: FloatArray, chosen: IntArray | None = None, mix: FloatArray | None = None
@@ -330,9 +322,8 @@ class ErrorModel:
             log_scale = 0.5 * np.log(least / count + self._least**2)
             if again < SCALE_ROUNDS - 1:
                 variance = np.exp(-2.0 * log_scale)[:, None, None]
-                by_modes = np.linalg.solve(
-                    variance * between + np.eye(between.shape[1]), variance * across.transpose(0, 2, 1)
-                )
+                inner = variance * between + np.eye(between.shape[1])
+                by_modes = np.linalg.solve(inner, variance * across.transpose(0, 2, 1))
                 left = alone - np.einsum("hrq,hqr->hr", across, by_modes)
                 if not again:  # the same residual stays the best
                     best = left.argmin(axis=1)[:, None]
@@ -396,10 +387,8 @@ class ErrorModel:
         n, d, q = onto.shape
         m = response.shape[2]
         through = response.reshape(n * d, m).T @ onto.reshape(n * d, q)  # of each held direction
-        modes = {
-            held: self.modes(response, held=held).reshape(n * d, -1).T @ onto.reshape(n * d, q)
-            for held in (False, True)
-        }
+        flat, either = onto.reshape(n * d, q), (False, True)
+        modes = {held: self.modes(response, held=held).reshape(n * d, -1).T @ flat for held in either}
         found = np.empty((len(chosen), q, q))
         for at, row in enumerate(chosen):
             held = bool(every.held[row])

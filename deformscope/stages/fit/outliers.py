@@ -98,15 +98,11 @@ def without_outliers(
         if all(np.array_equal(a, b) for a, b in zip(off, found, strict=True)):
             break
         off = found
-        seen = [
-            dataclasses.replace(one, observed=one.observed & ~bad) if bad.any() else one
-            for one, bad in zip(every, off, strict=True)
-        ]
+        pairs = zip(every, off, strict=True)
+        seen = [dataclasses.replace(one, observed=one.observed & ~bad) if bad.any() else one for one, bad in pairs]
         positions = fitted(seen)
-    named = (
-        _named(one.rest, one.deformed, position, bad) for one, position, bad in zip(every, positions, off, strict=True)
-    )
-    return seen, tuple(named)
+    each = zip(every, positions, off, strict=True)
+    return seen, tuple(_named(one.rest, one.deformed, position, bad) for one, position, bad in each)
 
 
 def outlying(
@@ -152,8 +148,7 @@ def outlying(
 def _behind(residual: FloatArray, way: FloatArray, scale: FloatArray) -> BoolArray:
     """(n,) which residuals (n, d) are of tracks that stay behind on paths (n, d), too little to be outliers alone.
 
-    A mixture: an unknown share of tracks does, from `STOPPED` of the way on down; scale: (n,) deviation of a coordinate
-    """
+    A mixture: an unknown share of tracks does, from `STOPPED` of the way down; scale: (n,) deviation of a coordinate"""
     missing = np.linspace(1.0 - STOPPED, 1.0, 9)[:, None]
     along, length = -np.sum(residual * way, axis=1), np.sum(way**2, axis=1)
     log_ratio = logsumexp((missing * along - 0.5 * missing**2 * length) / scale**2, axis=0) - np.log(len(missing))

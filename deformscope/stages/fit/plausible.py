@@ -29,15 +29,12 @@ def check_metres(rest: FloatArray, noise: FloatArray | None = None) -> None:
     """Refuses positions at rest (K, d) and noise (K,) that cannot be metres."""
     size = size_of(rest)
     if size > LARGEST_M:
-        raise InputError(
-            f"positions in metres, of a body of at most {LARGEST_M:g} m",
-            f"rest positions over {size:.4g} m",
-            "divide by 1000 if they are millimetres, by 100 if centimetres; pixels are for images and --px-per-cm",
-        )
+        wanted, came = f"positions in metres, of a body of at most {LARGEST_M:g} m", f"rest positions over {size:.4g} m"
+        hint = "divide by 1000 if they are millimetres, by 100 if centimetres; pixels are for images and --px-per-cm"
+        raise InputError(wanted, came, hint)
     if noise is not None and float(noise.max(initial=0.0)) > size:
-        raise InputError(
-            "noise in metres, smaller than the body", f"{noise.max():.4g} m for a body of {size:.4g} m", "metres"
-        )
+        came = f"{noise.max():.4g} m for a body of {size:.4g} m"
+        raise InputError("noise in metres, smaller than the body", came, "metres")
 
 
 def check_same_unit(rest: FloatArray, deformed: FloatArray, known: BoolArray) -> None:
@@ -45,11 +42,9 @@ def check_same_unit(rest: FloatArray, deformed: FloatArray, known: BoolArray) ->
     moved = deformed[known] - rigid_positions(rest, deformed, known)[known]
     size, far = size_of(rest), float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
     if far > FARTHEST * size:
-        raise InputError(
-            "deformed positions in the unit of rest",
-            f"particles that move {far:.4g} m beyond a rigid motion, of a body of {size:.4g} m",
-            "one unit, and one order of the particles, in both",
-        )
+        came = f"particles that move {far:.4g} m beyond a rigid motion, of a body of {size:.4g} m"
+        hint = "one unit, and one order of the particles, in both"
+        raise InputError("deformed positions in the unit of rest", came, hint)
 
 
 def size_note(rest: FloatArray) -> str | None:
@@ -65,16 +60,11 @@ def check_poke(surface: FloatArray, thickness: float, depth: float, tip: float) 
     surface: (n, d) points; thickness: thickness along the poke; depth: depth of the poke; tip: tip's smallest side"""
     size = size_of(surface)
     if thickness > THICKEST * size:
-        raise InputError(
-            f"a thickness in metres, of a surface of {size:.3g} m", f"{thickness:g} m", "--thickness-m 0.05 for 5 cm"
-        )
+        wanted = f"a thickness in metres, of a surface of {size:.3g} m"
+        raise InputError(wanted, f"{thickness:g} m", "--thickness-m 0.05 for 5 cm")
     if tip >= size:
-        raise InputError(
-            f"a tip in metres, smaller than the surface of {size:.3g} m", f"{tip:g} m", "size=0.02x0.02 for 2 cm"
-        )
+        wanted = f"a tip in metres, smaller than the surface of {size:.3g} m"
+        raise InputError(wanted, f"{tip:g} m", "size=0.02x0.02 for 2 cm")
     if depth >= thickness:
-        raise InputError(
-            f"a poke less deep than the {1e3 * thickness:.3g} mm of material under it",
-            f"{1e3 * depth:.4g} mm",
-            "depths are in metres: depth=0.003 for 3 mm",
-        )
+        wanted = f"a poke less deep than the {1e3 * thickness:.3g} mm of material under it"
+        raise InputError(wanted, f"{1e3 * depth:.4g} mm", "depths are in metres: depth=0.003 for 3 mm")

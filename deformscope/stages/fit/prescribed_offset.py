@@ -18,7 +18,7 @@ from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.stages.fit.estimate import Doubt
 from deformscope.stages.fit.inference import Inference
 from deformscope.stages.fit.model import Observation
-from deformscope.stages.fit.noise import CORRELATIONS, ErrorModel
+from deformscope.stages.fit.noise import CORRELATIONS
 from deformscope.stages.fit.residuals import Residuals
 from deformscope.stages.fit.search import Search
 
@@ -39,8 +39,7 @@ SETTLED = 0.02
 """A last change of the estimated positions below this ends the rounds [spacings]."""
 
 FIELDS_TRIED, SIZES = (("matern", (1.0, 3.0, 8.0)), ("gaussian", (1.4, 2.8, 4.0))), 3
-"""Roughnesses and lengths of the smooth fields that represent all, and the step between sizes; version 1 has the first
-roughness."""
+"""Roughnesses and lengths of the smooth fields that represent all, and the step between sizes."""
 
 EFFECT = 0.02
 """Share of the (stretched) range by which the parameter is changed for a derivative."""
@@ -91,7 +90,11 @@ def _steps(
     columns = np.concatenate([effect[None], np.moveaxis(response, -1, 0)])
     size = np.maximum(np.linalg.norm(columns, axis=(1, 2)), 1e-300)
     base = np.concatenate([residual[None], columns / size[:, None, None]])
-    found = part.errors.products(base, response, _few_hypotheses(part.errors))
+    every = part.errors.hypotheses  # some of which stand for all
+    fields = [(every.field == CORRELATIONS.index(one)) & np.isin(every.length, some) for one, some in FIELDS_TRIED]
+    few = np.any(fields, axis=0) & np.isin(every.size, np.unique(every.size)[1::SIZES]) | (every.size == 0.0)
+    chosen = np.flatnonzero(few & (every.camera == 1.0) & (every.tool == 1.0))
+    found = part.errors.products(base, response, chosen)
 
     def fitted(which: Sequence[int]) -> tuple[float, FloatArray]:
         """The log likelihood where these columns of the response are fitted, and the factor (n,) of each."""
@@ -127,24 +130,10 @@ def _steps(
     return step
 
 
-def _few_hypotheses(errors: ErrorModel) -> IntArray:
-    """(n,) indices of the hypotheses that stand for all."""
-    every = errors.hypotheses
-    sizes = np.unique(every.size)[1::SIZES]
-    some = [
-        (every.field == CORRELATIONS.index(rough)) & np.isin(every.length, lengths) for rough, lengths in FIELDS_TRIED
-    ]
-    few = (np.any(some, axis=0) & np.isin(every.size, sizes)) | (every.size == 0.0)
-    return np.flatnonzero(few & (every.camera == 1.0) & (every.tool == 1.0))
-
-
 def held_off(seen: Sequence[Observation], stated: Sequence[Observation]) -> Iterator[Doubt]:
     """Names the held particles that were found to be wrong."""
     for one, given in zip(seen, stated, strict=True):
         for particle in () if one.loose is None else one.loose:
             far = float(np.linalg.norm(one.deformed[particle] - given.deformed[particle]))
-            text = (
-                f"held particle {particle} seems to be {far:.2g} {one.unit} from where it is stated to be; its place "
-                "is estimated from the free ones"
-            )
-            yield Doubt("held-off", text)
+            off = f"held particle {particle} seems to be {far:.2g} {one.unit} from where it is stated to be"
+            yield Doubt("held-off", f"{off}; its place is estimated from the free ones")

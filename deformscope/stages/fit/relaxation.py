@@ -149,14 +149,7 @@ class RelaxationDraws:
             text = f"the relaxed state was not seen ({each}): shares and times are lower bounds; hold longer"
             reasons = (Doubt("no-plateau" if no_end > short else "short-record", text),)
         counted = np.where(endless[:, None] & (retarded_s > record_s), 0.0, strength).sum(axis=1)
-        return RelaxationSeen(
-            reasons=reasons,
-            short_record=short,
-            no_plateau=no_end,
-            open=short + no_end > open_from,
-            within=within,
-            share=counted / (1.0 + counted),
-        )
+        return RelaxationSeen(reasons, short, no_end, short + no_end > open_from, within, counted / (1.0 + counted))
 
     def time(self, judged: FloatArray, level: float = 0.9) -> tuple[float, tuple[float, float]]:
         """Median and interval of the mean relaxation time [s]. judged: (d,) weight"""

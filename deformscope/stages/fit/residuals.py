@@ -196,10 +196,8 @@ class Residuals:
         along = moved.T @ axes[:, :count] / np.sqrt(size[:count])
         across, spread, _ = np.linalg.svd(others - along @ (along.T @ others), full_matrices=False)
         across = across[:, spread > SYSTEMATIC_LEAST]
-        onto, details = (
-            (some * weight[:, None]).reshape(*residual.shape[1:], -1)
-            for some in (np.concatenate([along, across], axis=1), across)
-        )
+        both = np.concatenate([along, across], axis=1), across
+        onto, details = ((some * weight[:, None]).reshape(*residual.shape[1:], -1) for some in both)
         noisy = one.weight @ one.field**2 < np.mean(one.weight @ one.white**2 * self.errors.noise**2)
         if noisy or not across.size:
             return onto, prior

@@ -8,6 +8,7 @@ import copy
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +17,9 @@ from deformscope.errors import InputError
 from deformscope.stages.fit.distance import distances
 from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.msm.solver import Msm, Relaxed
+
+TOLERANCE, ROUNDS = 1e-4, 6
+"""Width of a bracket of the parameter that is not narrowed further, and rounds of narrowing."""
 
 Progress = Callable[[str, int, int], None]
 """A function that is called with the present step, its progress, and its total."""
@@ -55,8 +59,7 @@ class Search:
     def simulate(self, parameter: FloatArray, progress: Progress | None = None, what: str = "simulating") -> None:
         """Relax candidates (B,) of the sought parameter for every observation, starting from the nearest one known."""
         parameter = np.atleast_1d(np.asarray(parameter, dtype=np.float64))
-        converged = np.ones(len(parameter), dtype=bool)
-        usable = np.ones(len(parameter), dtype=bool)
+        converged, usable = np.ones((2, len(parameter)), dtype=bool)
         start = None
         known = np.flatnonzero(self.tried.usable)
         if known.size:
@@ -67,16 +70,11 @@ class Search:
             self.tried.positions[row] = np.concatenate([self.tried.positions[row], state.position])
             converged &= state.converged
             usable &= ~state.diverged
-        self.tried.parameter = np.concatenate([self.tried.parameter, parameter])
-        self.tried.converged = np.concatenate([self.tried.converged, converged])
-        self.tried.usable = np.concatenate([self.tried.usable, usable])
-        order = np.argsort(self.tried.parameter, kind="stable")
-        self.tried = Tried(
-            self.tried.parameter[order],
-            [p[order] for p in self.tried.positions],
-            self.tried.converged[order],
-            self.tried.usable[order],
-        )
+        every = np.concatenate([self.tried.parameter, parameter])
+        order = np.argsort(every, kind="stable")
+        converged = np.concatenate([self.tried.converged, converged])[order]
+        usable = np.concatenate([self.tried.usable, usable])[order]
+        self.tried = Tried(every[order], [p[order] for p in self.tried.positions], converged, usable)
 
     def states(
         self, parameter: FloatArray, start: Sequence[FloatArray] | None, progress: Callable[[int, int], None] | None
@@ -104,11 +102,11 @@ class Search:
         some.tried = dataclasses.replace(self.tried, positions=[self.tried.positions[row] for row in rows])
         return some
 
-    def rows_of(self, parameter: FloatArray, progress: Progress | None = None) -> IntArray:
+    def rows_of(self, parameter: FloatArray) -> IntArray:
         """Indices (B,) of these candidates (B,) among those tried; new ones are simulated."""
         known = np.abs(parameter[:, None] - self.tried.parameter).min(axis=1) <= 1e-13
         if not known.all():
-            self.simulate(parameter[~known], progress, "interval")
+            self.simulate(parameter[~known])
         return np.asarray(np.abs(parameter[:, None] - self.tried.parameter).argmin(axis=1))
 
     def relax(
@@ -121,11 +119,8 @@ class Search:
         tolerance: float | None = None,
     ) -> Relaxed:
         """Static states of one body for held positions (n, d) or (B, n, d) and parameters, one or (B,)."""
-        beta, theta = self.values(parameter)
-        volume = self.model.volume
-        return body.relax(
-            held_position, beta, theta, volume=volume, start=start, progress=progress, tolerance=tolerance
-        )
+        how: Any = {"volume": self.model.volume, "start": start, "progress": progress, "tolerance": tolerance}
+        return body.relax(held_position, *self.values(parameter), **how)
 
     def values(self, parameter: FloatArray | float) -> tuple[FloatArray, FloatArray]:
         """beta and theta (B,) of candidates (B,)."""
@@ -154,11 +149,8 @@ class Search:
     def best(self) -> int:
         error = self.error()
         if np.isnan(error).all():
-            raise InputError(
-                "a simulation that stays finite",
-                "every candidate diverged (eq. 3.17 with overlapping clusters does at high theta)",
-                "a lower --theta, or one cluster",
-            )
+            came = "every candidate diverged (eq. 3.17 with overlapping clusters does at high theta)"
+            raise InputError("a simulation that stays finite", came, "a lower --theta, or one cluster")
         return int(np.nanargmin(error))
 
     def sweep(self, count: int, progress: Progress | None) -> None:
@@ -178,27 +170,27 @@ class Search:
         self.sweep(count, None)
         self.refine()
 
-    def refine(self, tolerance: float = 1e-4, rounds: int = 6) -> None:
+    def refine(self) -> None:
         """Narrow the bracket around the lowest error, eight candidates at a time, spaced evenly in `stretch`."""
-        for _ in range(rounds):
+        for _ in range(ROUNDS):
             i = self.best()
             low = self.tried.parameter[max(i - 1, 0)]
             high = self.tried.parameter[min(i + 1, len(self.tried.parameter) - 1)]
-            if high - low <= tolerance:
+            if high - low <= TOLERANCE:
                 return
             inner = self.shrink(np.linspace(self.stretch(low), self.stretch(high), 10)[1:-1])
-            new = inner[np.abs(inner[:, None] - self.tried.parameter).min(axis=1) > 0.02 * tolerance]
+            new = inner[np.abs(inner[:, None] - self.tried.parameter).min(axis=1) > 0.02 * TOLERANCE]
             if new.size == 0:
                 return
             self.simulate(new)
 
-    def descend(self, progress: Progress | None, tolerance: float = 1e-4) -> str:
+    def descend(self, progress: Progress | None) -> str:
         """Algorithm 2's purpose: follow the slope of the error to its minimum. Returns why it stopped.
 
         The thesis takes fixed steps of 0.01 times the slope and stops when the error changes little, often before the
         minimum. Here the slope comes from two neighbours simulated around each point, the step from the slope's own
         change (secant), limited to the bracket in which the slope changes sign. It stops when that bracket is narrower
-        than `tolerance`, or at a bound if the error falls toward it."""
+        than `TOLERANCE`, or at a bound if the error falls toward it."""
         low, high = (self.stretch(b) for b in self.bounds)
         h = 1e-3 * (high - low)
         # a few values in between, so that neither a bound nor the nearest valley is taken for the lowest
@@ -227,8 +219,8 @@ class Search:
             else:
                 b = point
             ends[point] = slope
-            if abs(float(self.shrink(b)) - float(self.shrink(a))) <= tolerance:
-                return f"the slope changes sign within {tolerance:g}"
+            if abs(float(self.shrink(b)) - float(self.shrink(a))) <= TOLERANCE:
+                return f"the slope changes sign within {TOLERANCE:g}"
             secant = a - ends[a] * (b - a) / (ends[b] - ends[a])
             # a secant that creeps along one side of the bracket is replaced by its middle
             inside = a + 0.1 * (b - a) < secant < b - 0.1 * (b - a)

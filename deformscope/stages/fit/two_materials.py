@@ -66,9 +66,7 @@ class BodySplit:
 def splits(seen: Observation, grouped: Clusters) -> list[BodySplit]:
     """The splits of one observation's clusters: into halves of about as many, or an inclusion and the rest."""
     middles = np.array([seen.rest[row].mean(axis=0) for row in grouped])
-    found = []
-    for axis, name in enumerate("xyz"[: seen.rest.shape[1]]):
-        found.append(((f"at low {name}", f"at high {name}"), middles[:, axis]))
+    found = [((f"at low {one}", f"at high {one}"), along) for one, along in zip("xyz", middles.T, strict=False)]
     pressed = seen.rest[seen.touched].mean(axis=0) if len(seen.touched) else seen.rest[seen.held].mean(axis=0)
     found.append((("near the push", "far from the push"), np.linalg.norm(middles - pressed, axis=1)))
     made = []
@@ -115,9 +113,8 @@ class Local:
 def gains(local: Sequence[Local]) -> FloatArray:
     """(s,) gain of twice the log likelihood by a difference between the parts of each split."""
     every = [np.concatenate([one.residual[None], one.fitted, one.apart]) for one in local]
-    products = [
-        one.part.errors.products(some, one.response, one.part.kept) for one, some in zip(local, every, strict=True)
-    ]
+    pairs = zip(local, every, strict=True)
+    products = [one.part.errors.products(some, one.response, one.part.kept) for one, some in pairs]
 
     def likelihood(mix: FloatArray) -> FloatArray:
         """(g,) log likelihood of sums (g, 1 + q + s) of the residual and all derivatives."""
@@ -151,14 +148,10 @@ def _highest(likelihood: Callable[[FloatArray], FloatArray], flat: FloatArray, c
     turn = (u[:, keep] / size[keep]).T
     unit = float(np.sqrt(np.mean(flat[0] ** 2))) or 1.0
     at = turn @ (flat[columns] @ flat[0])
-    q = len(turn)  # a stencil by which a quadratic function of q numbers is known
-    rows = [np.zeros(q)]
-    eye = np.eye(q)
-    rows += [sign * eye[i] for i in range(q) for sign in (1.0, -1.0)]
-    rows += [eye[i] + eye[j] for i, j in combinations(range(q), 2)]
-    stencil = np.array(rows)
-    best = -np.inf
-    width = unit
+    eye = np.eye(len(turn))  # a stencil by which a quadratic function of as many numbers is known
+    rows = [sign * one for one in eye for sign in (1.0, -1.0)] + [one + other for one, other in combinations(eye, 2)]
+    stencil = np.array([np.zeros(len(turn)), *rows])
+    best, width = -np.inf, unit
     for _ in range(ROUNDS):
         value = taken((at + width * stencil) @ turn)
         best = max(best, float(value.max()))
@@ -239,9 +232,7 @@ def two_materials(bodies: Sequence[FittedBody], beta: float, top: float, rival: 
     ways = [one[names[best]] for one in every]
     each = [body.compared() for body in bodies]
     observed = np.concatenate([numbers for numbers, _ in each])
-    weight = np.concatenate(
-        [np.full(len(numbers), np.sqrt(body.weight)) for (numbers, _), body in zip(each, bodies, strict=True)]
-    )
+    weight = np.repeat([np.sqrt(body.weight) for body in bodies], [len(numbers) for numbers, _ in each])
 
     def simulate(at: FloatArray) -> FloatArray:
         states = [found(np.where(way.first, at[:, :1], at[:, 1:])) for (_, found), way in zip(each, ways, strict=True)]
@@ -249,13 +240,12 @@ def two_materials(bodies: Sequence[FittedBody], beta: float, top: float, rival: 
 
     both = np.array([[0.0, highest]] * 2)
     found = least_squares.minimise(simulate, observed * weight, np.full(2, stretched), both, np.full(2, DIFFERENCE))
-    alike = least_squares.minimise(
-        lambda at: simulate(np.repeat(at, 2, axis=1)),
-        observed * weight,
-        np.full(1, stretched),
-        both[:1],
-        np.full(1, DIFFERENCE),
-    )
+
+    def simulate_alike(at: FloatArray) -> FloatArray:
+        return simulate(np.repeat(at, 2, axis=1))
+
+    one = np.full(1, stretched), both[:1], np.full(1, DIFFERENCE)
+    alike = least_squares.minimise(simulate_alike, observed * weight, *one)
     low, high = -np.expm1(-found.at)
     share = float(np.sqrt(found.squares / alike.squares))
     enough = share < LEFT or (share < LEFT_SURE and gain[best] > GAIN_SURE and _like_stated(bodies))

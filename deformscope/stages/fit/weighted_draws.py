@@ -22,9 +22,8 @@ def median_and_interval(value: FloatArray, weight: FloatArray, level: float = 0.
     order = np.argsort(value)
     below = np.cumsum(weight[order]) / weight.sum()
     tail = round(0.5 * (1.0 - level), 12)
-    low, middle, high = (
-        float(value[order[min(int(np.searchsorted(below, q)), len(order) - 1)]]) for q in (tail, 0.5, 1.0 - tail)
-    )
+    at = np.minimum(np.searchsorted(below, (tail, 0.5, 1.0 - tail)), len(order) - 1)
+    low, middle, high = value[order[at]].tolist()
     return middle, (low, high)
 
 
@@ -34,8 +33,7 @@ class DrawnModel:
 
     mean: (c, k) mean of the Gaussian priors of each choice, where the search begins; spread: (k,) deviations, infinite:
     none; prior: probability of all choices together; each is equally probable; residuals: computes residuals (d, m)
-    from parameters (d, k), without priors; linear: computes from (d, k) the residuals and their derivatives (d, k, m)
-    """
+    from parameters (d, k), without priors; linear: computes from (d, k) residuals and their derivatives (d, k, m)"""
 
     mean: FloatArray
     spread: FloatArray
@@ -101,9 +99,8 @@ def draw_about_each(models: Sequence[DrawnModel], random: np.random.Generator) -
     number = np.split(random.multinomial(DRAWS, chance), np.cumsum([len(one) for one in evidence])[:-1])
     log_chance = np.split(np.log(np.maximum(chance, 1e-300)), np.cumsum([len(one) for one in evidence])[:-1])
     drawn, log_weight = [], []
-    for one, (best, _, _), root, log, many, log_part in zip(
-        models, minima, roots, logs, number, log_chance, strict=True
-    ):
+    each = zip(models, minima, roots, logs, number, log_chance, strict=True)
+    for one, (best, _, _), root, log, many, log_part in each:
         choice = np.repeat(np.arange(len(best)), many)
         # each direction has its own tail: a branch that is hardly seen goes far in one of them
         apart = random.standard_t(FREEDOM, (len(choice), best.shape[1]))

@@ -68,13 +68,10 @@ def fit_axes(
     squares = np.sum((observed - fit.isotropic(every)) ** 2, axis=1)
     if not np.isfinite(squares).any():
         raise InputError("a simulation that settles", "none for any beta", "check the held particles")
-    even = least_squares.minimise(
-        fit.isotropic, observed, every[int(np.nanargmin(squares))], one_bounds, np.array([DIFFERENCE])
-    )
+    start, bounds = every[int(np.nanargmin(squares))], np.repeat(one_bounds, d, axis=0)
+    even = least_squares.minimise(fit.isotropic, observed, start, one_bounds, np.array([DIFFERENCE]))
     note("axes", 1, 2)
-    best = least_squares.minimise(
-        fit.along, observed, np.repeat(even.at, d), np.repeat(one_bounds, d, axis=0), np.full(d, DIFFERENCE)
-    )
+    best = least_squares.minimise(fit.along, observed, np.repeat(even.at, d), bounds, np.full(d, DIFFERENCE))
     noise = fit.noise(best, np.random.default_rng(seed))
     covariance = noise.covariance(best.jacobian)
     freedom = observed.size - d
@@ -85,14 +82,9 @@ def fit_axes(
     p_isotropic = float(scipy.stats.chi2.sf(excess, d - 1))
     converged = bool(best.converged and even.converged and np.isfinite(best.jacobian).all())
     deviation = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    share = explained(seen, fit.positions(best))
+    share, misfit = explained(seen, fit.positions(best)), least_squares.deviation_of(best.residual, d)
     identifiability = tuple(
-        Identifiability(
-            rise=rise,
-            explained=share,
-            deviation=float(spread * np.exp(-at)),
-            misfit=least_squares.deviation_of(best.residual, d),
-        )
+        Identifiability(rise, share, deviation=float(spread * np.exp(-at)), misfit=misfit)
         for rise, spread, at in zip(fit.rises(best, noise), deviation, best.at, strict=True)
     )
     reasons = fit.reasons(best, ends, identifiability, converged=converged)
@@ -222,11 +214,10 @@ class _AxisFit:
         floor = max(10.0 * TOLERANCE[body.precision] * body.extent for body in self.bodies)
         ratio = residual_ratio(self.seen, self.positions(best), floor)
         common = [*shape_doubts(self.seen), *(self._in_residuals(best) if converged else ())]
-        limits = (0.0, BETA_LIMIT)
+        limits, noise = (0.0, BETA_LIMIT), (ratio, None, noise_source(self.seen))
         found = []
         for at, (low, high), one in zip(best.at, ends, identifiability, strict=True):
             beta, own = float(-np.expm1(-at)), (float(low), float(high))
-            noise = ratio, None, noise_source(self.seen)
             numbers = found_in_numbers("beta", beta, own, limits, one, converged=converged, noise=noise, seen=self.seen)
             found.append(ordered([*numbers, *common]))
         return tuple(found)
@@ -267,16 +258,7 @@ class _AxisFit:
                 return self._at(along, one, best.at + change[..., None])
 
             rows = np.searchsorted(np.flatnonzero(self.judged[row]), part.judged)
-            bodies.append(
-                FittedBody(
-                    part=part,
-                    grouped=self.model.grouping(one),
-                    position=simulated,
-                    response=response,
-                    others=slope[:, rows],
-                    states=states,
-                )
-            )
+            bodies.append(FittedBody(part, self.model.grouping(one), simulated, response, slope[:, rows], states))
         yield from two_materials(bodies, float(-np.expm1(-best.at.mean())), BETA_LIMIT)
 
     @staticmethod

@@ -9,8 +9,7 @@ quadratic in the displacements u, with one factor exp(p) for each cell c:
 of the modulus. The material may be stiffer along one direction, the same in all cells. "beta": the model's own energy
 of 2^d clusters (design: sum of (1 - beta) E_rigid + beta E_affine). For small deformations the rigid part is that of
 the strain e in addition to the affine part, (1 - beta) |e q|^2 + the squared residual of the best linear map. K_c is
-the strain's, K_0 the resistance of a cell to other than linear deformations, p = log(1 - beta).
-"""
+the strain's, K_0 the resistance of a cell to other than linear deformations, p = log(1 - beta)."""
 
 from __future__ import annotations
 
@@ -39,12 +38,9 @@ def lattice_cells(shape: tuple[int, ...], cell: IntArray) -> IntArray:
     particle in a lattice of `shape`"""
     index = np.full(int(np.prod(shape)), -1)
     index[cell] = np.arange(len(cell))
-    grid = index.reshape(shape)
-    corners = [
-        grid[tuple(slice(o, n - 1 + o) for o, n in zip(offset, shape, strict=True))].ravel()
-        for offset in product((0, 1), repeat=len(shape))
-    ]
-    found = np.stack(corners, axis=1)
+    grid, offsets = index.reshape(shape), product((0, 1), repeat=len(shape))
+    parts = [tuple(slice(o, n - 1 + o) for o, n in zip(offset, shape, strict=True)) for offset in offsets]
+    found = np.stack([grid[part].ravel() for part in parts], axis=1)
     return np.asarray(found[(found >= 0).all(axis=1)])
 
 
@@ -174,22 +170,16 @@ class CellModel:
         u[self.free] = factors.solve(-(coupling @ u[self.fixed]))
         force = np.zeros(u.size)
         force[self.fixed] = (whole @ u)[self.fixed]
-        none = np.zeros((0, 0))
-        plain = CellState(
-            moved=u.reshape(-1, self.d),
-            slope=none,
-            by_nu=none,
-            by_bent=none,
-            response=none,
-            force=force.reshape(-1, self.d),
-        )
+        plain = CellState(u.reshape(-1, self.d), *[np.zeros((0, 0))] * 4, force=force.reshape(-1, self.d))
         if not slopes:
             return plain
         response = np.zeros((u.size, self.fixed.size))
         response[self.free] = factors.solve(-coupling.toarray())
         response[self.fixed, np.arange(self.fixed.size)] = 1.0
         loads = np.exp(p)[:, None] * np.einsum("cab,cb->ca", each, u[self.dof])
-        slope = self._solved(factors, self._columns(loads))
+        columns = np.zeros((self.count * self.d, len(loads)))  # each cell's load
+        columns[self.dof, np.arange(len(loads))[:, None]] = loads
+        slope = self._solved(factors, columns)
         own = np.append(nu, [] if bent is None else bent)
         by_own: FloatArray = np.zeros((u.size, len(own)))
         if self.law == "elastic":
@@ -211,12 +201,6 @@ class CellModel:
         columns = np.tile(self.dof, (1, self.dof.shape[1]))
         size = self.count * self.d
         return csc_array((each.ravel(), (rows.ravel(), columns.ravel())), shape=(size, size))
-
-    def _columns(self, loads: FloatArray) -> FloatArray:
-        """(K d, C) each cell's load (2^d d,) as a column of its own."""
-        found = np.zeros((self.count * self.d, len(loads)))
-        found[self.dof, np.arange(len(loads))[:, None]] = loads
-        return found
 
     def _solved(self, factors: object, load: FloatArray) -> FloatArray:
         """Displacements (K d, ...) of loads (K d, ...) with factors of the free unknowns' matrix; 0 where held."""

@@ -29,6 +29,7 @@ from deformscope.stages.fit.doubts import little_explained, not_converged, order
 from deformscope.stages.fit.estimate import Comparison, Doubt, limited
 from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.fit.search import Progress
+from deformscope.stages.materials import field_levels
 from deformscope.stages.materials.cell_model import directional_modulus, elasticity
 from deformscope.stages.materials.field_estimate import (
     WEAK_FACTOR,
@@ -50,17 +51,6 @@ from deformscope.stages.materials.field_fit import (
     likeliest_noise,
     posterior,
     smooth_mean,
-)
-from deformscope.stages.materials.field_levels import (
-    BORDER,
-    border_cells,
-    border_length,
-    cuts,
-    gain,
-    levels_of,
-    neighbours,
-    sharpened,
-    split,
 )
 
 REACHES = (1.5, 3.0, 6.0, 12.0, 24.0)
@@ -136,7 +126,7 @@ class Description:
             return p, p - reach, p + reach
         p = (self._pure(edges) @ at)[self.label] - mean
         # each cell at a border may be of either side, which moves the mean of all
-        variance = variance + len(border_cells(self.label, edges)) * (0.5 * np.ptp(p) / len(p)) ** 2
+        variance = variance + len(field_levels.border_cells(self.label, edges)) * (0.5 * np.ptp(p) / len(p)) ** 2
         low, high = p - sds * np.sqrt(variance), p + sds * np.sqrt(variance)
         one, other = np.concatenate([edges, edges[:, ::-1]]).T
         ends = low.copy(), high.copy()
@@ -168,7 +158,7 @@ class Description:
         """(k, C) means over each material's cells that no border passes through, or over all where there are none."""
         member = (self.label == np.arange(self.label.max() + 1)[:, None]).astype(np.float64)
         inner = member.copy()
-        inner[:, border_cells(self.label, edges)] = 0.0
+        inner[:, field_levels.border_cells(self.label, edges)] = 0.0
         chosen = np.where(inner.any(axis=1, keepdims=True), inner, member)
         return np.asarray(chosen / chosen.sum(axis=1, keepdims=True))
 
@@ -186,31 +176,27 @@ def fit_field(
         if progress is not None:
             progress("descriptions of the field", number, steps)
 
-    edges = neighbours(fit.place, fit.spacing)
+    edges = field_levels.neighbours(fit.place, fit.spacing)
     reach, found, others = _descriptions(fit, edges, done)
     weight = np.array([one.weight for one in found])
     probability = np.exp(weight - logsumexp(weight))
     plausible = probability >= PLAUSIBLE
     chosen, one_material = _chosen(found, probability)
     value, _, _ = chosen.relative(edges, sds)
-    held = [one for one, kept in zip(found, plausible, strict=True) if kept or one is chosen]
-    held += [one for one in others if one.weight > logsumexp(weight) + np.log(PLAUSIBLE)]
-    differ = any(one.label.max() != 0 for one in held)
+    included = [one for one, likely in zip(found, plausible, strict=True) if likely or one is chosen]
+    included += [one for one in others if one.weight > logsumexp(weight) + np.log(PLAUSIBLE)]
+    differ = any(one.label.max() != 0 for one in included)
     if chosen.label.max() == 0:
-        held += _hidden(chosen)
-    ends = [one.relative(edges, sds)[1:] for one in held]
+        included += _hidden(chosen)
+    ends = [one.relative(edges, sds)[1:] for one in included]
     interval = np.stack([np.min([low for low, _ in ends], axis=0), np.max([high for _, high in ends], axis=0)], axis=1)
     done(steps - 1)
     beta, beta_ends, beta_state, beta_aee = _betas(seen, chosen, reach, sds, device)
     motion = float(np.sum(fit.target**2))
     left = float(np.sum((fit.target - chosen.point.state.moved.ravel()[fit.rows]) ** 2))
     explained = 1.0 - left / motion if motion > fit.size**2 * EXPLAINABLE else 0.0
-    reasons = [
-        *not_converged(chosen.point.converged),
-        *_large_strain(fit),
-        *_part_of_a_face(fit),
-        *_smooth_error(chosen, differ),
-    ]
+    reasons = [*not_converged(chosen.point.converged), *_large_strain(fit)]
+    reasons += [*_part_of_a_face(fit), *_smooth_error(chosen, differ)]
     reasons += little_explained(explained, left_is_noise=chosen.misfit < 2.0, seen=[seen])
     verdicts = tuple(limited(one, reasons) for one in place_verdicts(np.exp(interval)))
     kind: FieldKind = "gradual" if chosen.label[0] < 0 else "materials" if chosen.label.max() > 0 else "uniform"
@@ -218,7 +204,7 @@ def fit_field(
     if chosen.fit.rival == "anisotropic":
         kind, directions = "anisotropic", _directions(chosen)
     determined = np.mean([one != "unidentified" for one in verdicts]) >= DETERMINED_LEAST
-    contrasts = [one.contrast(edges, sds)[1] for one in held]
+    contrasts = [one.contrast(edges, sds)[1] for one in included]
     if kind in ("uniform", "anisotropic") and max(high for _, high in contrasts) > WEAK_FACTOR:
         determined = np.False_
     doubted = one_material < PLAUSIBLE and differ and kind in ("uniform", "anisotropic")
@@ -266,9 +252,7 @@ def fit_field(
         settings={"particles": len(seen.rest), "cells": len(fit.cells), "dimensions": d, "device": device},
     )
     done(steps)
-    return estimate, Comparison(
-        rest=seen.rest, observed=seen.deformed, simulated=beta_state, seen=seen.observed, held=seen.held, unit=seen.unit
-    )
+    return estimate, Comparison(seen.rest, seen.deformed, beta_state, seen.observed, seen.held, unit=seen.unit)
 
 
 def _descriptions(
@@ -335,20 +319,8 @@ def _described(
     root = fit.noise_root(noise, point.state.response)
     left = solve_triangular(root, fit.target - point.moved, lower=True)
     label = np.full(len(fit.cells), -1) if label is None else label
-    after = posterior(fit, prior, noise, point)
-    misfit = float(left @ left) / len(left)
-    return Description(
-        name=name,
-        fit=fit,
-        label=label,
-        prior=prior,
-        point=point,
-        root=after,
-        noise=noise,
-        weight=evidence - cost,
-        judged=judged,
-        misfit=misfit,
-    )
+    after, misfit = posterior(fit, prior, noise, point), float(left @ left) / len(left)
+    return Description(name, fit, label, prior, point, after, noise, evidence - cost, judged, misfit)
 
 
 def _materials(fit: FieldFit, found: list[Description], edges: IntArray, count: int) -> list[Description]:
@@ -356,9 +328,9 @@ def _materials(fit: FieldFit, found: list[Description], edges: IntArray, count: 
     first; none if there are fewer. found: the smooth field, and fewer materials; edges: (n, 2) neighbouring cells"""
     smooth, noise = found[0], max(found, key=lambda one: one.weight).noise
     p, weight = smooth.point.at[:-1], 1.0 / np.maximum((smooth.root[:-1] ** 2).sum(axis=1), 1e-12)
-    begun = [levels_of(p, weight, count)]
+    begun = [field_levels.levels_of(p, weight, count)]
     if count > 1:
-        begun += [*split(found[-1].label, p, weight), *_best_cuts(fit, noise, found[-1])]
+        begun += [*field_levels.split(found[-1].label, p, weight), *_best_cuts(fit, noise, found[-1])]
     described: list[Description] = []
     for one in begun:
         described += _found_from(fit, noise, one, edges, count, described)
@@ -373,8 +345,8 @@ def _best_cuts(fit: FieldFit, noise: NoiseModel, one: Description) -> list[IntAr
     root = fit.noise_root(noise, one.point.state.response)
     y, w = (solve_triangular(root, rows, lower=True) for rows in (one.point.linear(fit.target), one.point.slope))
     gram, wanted = w.T @ w, w.T @ y
-    axes = cuts(one.label, fit.place, fit.spacing)
-    return [max(some, key=lambda label: gain(fit.levels(label), gram, wanted)) for some in axes if some]
+    axes = field_levels.cuts(one.label, fit.place, fit.spacing)
+    return [max(some, key=lambda label: field_levels.gain(fit.levels(label), gram, wanted)) for some in axes if some]
 
 
 def _found_from(
@@ -385,12 +357,13 @@ def _found_from(
     moved, point = _bordered(fit, noise, label, edges)
     if moved.max() + 1 != count or np.bincount(moved).min() < least:
         return []
-    label = _softest_first(moved, point.at[:-1])
+    level = np.array([point.at[:-1][moved == k].mean() for k in range(count)])
+    label = np.asarray(level.argsort().argsort()[moved])  # numbered from the softest
     if any(np.array_equal(label, one.label) for one in before):
         return []
-    prior = fit.levels(label, border_cells(label, edges))
+    prior = fit.levels(label, field_levels.border_cells(label, edges))
     name = "one material" if count == 1 else f"{count} materials"
-    cost = BORDER_COST * border_length(label, edges)
+    cost = BORDER_COST * field_levels.border_length(label, edges)
     return [_described(fit, name, prior, noise, fit.fit(prior, noise, point.at), label, cost)]
 
 
@@ -402,9 +375,10 @@ def _bordered(fit: FieldFit, noise: NoiseModel, label: IntArray, edges: IntArray
         point = fit.fit(fit.levels(label), noise, None if point is None else point.at)
         root = fit.noise_root(noise, point.state.response)
         left = solve_triangular(root, fit.target - point.moved, lower=True)
-        tried.append((float(left @ left) + BORDER * border_length(label, edges), label, point))
+        cost = field_levels.BORDER * field_levels.border_length(label, edges)
+        tried.append((float(left @ left) + cost, label, point))
         y, w = (solve_triangular(root, rows, lower=True) for rows in (point.linear(fit.target), point.slope))
-        moved = sharpened(label, fit.levels, edges, y, w)
+        moved = field_levels.sharpened(label, fit.levels, edges, y, w)
         if any(np.array_equal(moved, before) for _, before, _ in tried):
             break
         label = moved
@@ -451,12 +425,6 @@ def _hidden(one: Description) -> list[Description]:
                 root = posterior(fit, prior, noise, one.point)
                 found.append(replace(one, name=f"split {number} {share}", label=label, prior=prior, root=root))
     return found
-
-
-def _softest_first(label: IntArray, p: FloatArray) -> IntArray:
-    """(C,) labels renumbered from the softest material, 0. p: (C,) log stiffness"""
-    level = np.array([p[label == k].mean() for k in range(label.max() + 1)])
-    return np.asarray(level.argsort().argsort()[label])
 
 
 def _betas(
@@ -528,10 +496,8 @@ def _smooth_error(chosen: Description, differ: bool) -> list[Doubt]:
 def _large_strain(fit: FieldFit) -> list[Doubt]:
     sides = [fit.cells[:, [one, other]] for one, other in pairwise(range(fit.cells.shape[1]))]
     seen: BoolArray = fit.seen.observed
-    change = np.concatenate(
-        [np.linalg.norm(np.diff(fit.displacement[some], axis=1)[:, 0], axis=1) for some in sides if seen[some].any()]
-    )
-    large = float(np.quantile(change, 0.95))
+    changes = [np.diff(fit.displacement[some], axis=1)[:, 0] for some in sides if seen[some].any()]
+    large = float(np.quantile(np.linalg.norm(np.concatenate(changes), axis=1), 0.95))
     if large <= STRAIN_MOST:
         return []
     text = f"sides of cells change by {large:.0%}: the field is that of small deformations; deform it less"

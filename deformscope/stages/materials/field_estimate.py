@@ -79,13 +79,8 @@ class FieldEstimate(ReportedResult):
         middle = [float(np.median(self.stiffness[self.material == k])) for k in range(self.materials)]
         for k in range(self.materials):
             some = self.material == k
-            found.append(
-                {
-                    "stiffness_over_softest": middle[k] / min(middle),
-                    "beta": float(np.median(self.beta[some])),
-                    "share": float(some.mean()),
-                }
-            )
+            beta, share = float(np.median(self.beta[some])), float(some.mean())
+            found.append({"stiffness_over_softest": middle[k] / min(middle), "beta": beta, "share": share})
         return found
 
     @property

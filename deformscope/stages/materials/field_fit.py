@@ -124,8 +124,8 @@ class FieldFit:
         self.seen, self.law, self.cells, self.rival = seen, law, cells, rival
         self.spacing = float(np.median(np.linalg.norm(seen.rest[cells[:, 1]] - seen.rest[cells[:, 0]], axis=1)))
         self.place = seen.rest[cells].mean(axis=1)
-        self.held = np.union1d(seen.held, _beside_tool(seen, cells))
-        # what presses the tool's particles reaches the others through those beside it, which are prescribed too
+        self.held = np.union1d(seen.held, _next_to_tool(seen, cells))
+        # what presses the tool's particles reaches the others through those next to it, which are prescribed too
         self.whole_touched = np.union1d(seen.touched, np.setdiff1d(self.held, seen.held))
         self.model = CellModel(seen.rest, cells, self.held, law)
         self.displacement = without_rigid(seen) / self.spacing
@@ -138,11 +138,8 @@ class FieldFit:
         self.size = max(float(np.abs(self.displacement[seen.observed]).max()), LEAST_MOTION)
         self._reach = cdist(seen.rest, seen.rest) / self.spacing
         self._modes, spread = smooth_modes(seen.rest)
-        self._rival_root = {
-            "none": np.zeros((0, 0)),
-            "anisotropic": BENT_SPREAD * bent_root(d),
-            "smooth error": self.size * np.diag(spread),
-        }[rival]
+        roots = {"anisotropic": BENT_SPREAD * bent_root(d), "smooth error": self.size * np.diag(spread)}
+        self._rival_root: FloatArray = roots.get(rival, np.zeros((0, 0)))
 
     def prior(self, reach: float) -> StiffnessPrior:
         """A smooth field. reach: [spacings]"""
@@ -333,7 +330,7 @@ def in_whole_cells(seen: Observation) -> Observation:
     )
 
 
-def _beside_tool(seen: Observation, cells: IntArray) -> IntArray:
+def _next_to_tool(seen: Observation, cells: IntArray) -> IntArray:
     """Indices (n,) of particles next to a tool that covers a part of a face, by cells (C, 2^d). Cells as coarse as
     particles cannot follow the displacement at its edge, which falls anywhere between two: the observation around it is
     prescribed instead."""
@@ -343,8 +340,8 @@ def _beside_tool(seen: Observation, cells: IntArray) -> IntArray:
         for end in (axis.min(), axis.max()):
             if touched[np.abs(axis - end) <= near].all():
                 return np.array([], dtype=np.int64)
-    beside = cells[touched[cells].any(axis=1)]
-    return np.asarray(np.unique(beside[seen.observed[beside]]))
+    near_tool = cells[touched[cells].any(axis=1)]
+    return np.asarray(np.unique(near_tool[seen.observed[near_tool]]))
 
 
 def _cells_of(seen: Observation) -> IntArray:
@@ -354,9 +351,8 @@ def _cells_of(seen: Observation) -> IntArray:
         raise InputError("particles on a lattice", "points without one", hint)
     if len(seen.shape) != seen.rest.shape[1]:
         came = f"a lattice {'x'.join(map(str, seen.shape))} in {seen.rest.shape[1]} dimensions"
-        raise InputError(
-            "a lattice that fills the plane, or space", came, "a surface alone: calibrate beta --thickness-m"
-        )
+        hint = "a surface alone: calibrate beta --thickness-m"
+        raise InputError("a lattice that fills the plane, or space", came, hint)
     cells = lattice_cells(seen.shape, seen.cell)
     if not 4 <= len(cells) <= MOST_CELLS:
         raise InputError(f"a lattice of 4 to {MOST_CELLS} cells", str(len(cells)), "another --grid, or a cut of it")
@@ -388,10 +384,10 @@ def likeliest_noise(
         u, s, _ = np.linalg.svd(solve_triangular(root, point.slope @ prior.root, lower=True), full_matrices=False)
         y = solve_triangular(root, wanted, lower=True)
         along = u.T @ y
-        beside = max(float(y @ y - along @ along), 0.0)
+        across = max(float(y @ y - along @ along), 0.0)
         variance = s[None] ** 2 + sizes[:, None] ** 2
         value = -0.5 * (np.log(variance).sum(axis=1) + (along**2 / variance).sum(axis=1))
-        value -= 0.5 * ((len(y) - len(s)) * np.log(sizes**2) + beside / sizes**2) + np.log(np.diag(root)).sum()
+        value -= 0.5 * ((len(y) - len(s)) * np.log(sizes**2) + across / sizes**2) + np.log(np.diag(root)).sum()
         if stated:
             value -= 0.5 * (np.log(sizes / stated) / STATED_SPREAD) ** 2
         at = int(value.argmax())
@@ -423,9 +419,8 @@ class Folds:
         self.parts = []
         for one in np.unique(fold_of):
             order = np.argsort(fold_of == one, kind="stable")
-            self.parts.append(
-                (order, int((fold_of != one).sum()), np.linalg.cholesky(covariance[np.ix_(order, order)]))
-            )
+            factor = np.linalg.cholesky(covariance[np.ix_(order, order)])
+            self.parts.append((order, int((fold_of != one).sum()), factor))
 
     def whitened(self, part: int, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Rows (n, ...) in units of the noise: those trained, and those left out."""

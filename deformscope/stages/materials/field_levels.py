@@ -49,9 +49,8 @@ def sharpened(
         prior = prior_of(label)
         inner = prior.root.T @ gram @ prior.root + np.eye(prior.root.shape[1])
         at = prior.mean + prior.root @ np.linalg.solve(inner, prior.root.T @ (wanted - gram @ prior.mean))
-        middle = [
-            float(at[:-1][label == k][0]) if (label == k).any() else np.nan for k in range(len(prior.root[0]) - 1)
-        ]
+        levels = range(len(prior.root[0]) - 1)
+        middle = [float(at[:-1][label == k][0]) if (label == k).any() else np.nan for k in levels]
         slope = wanted - gram @ at
         changed = False
         for cell in border_cells(label, edges).tolist():
@@ -117,12 +116,9 @@ def levels_of(value: FloatArray, weight: FloatArray, count: int) -> IntArray:
     label = np.zeros(len(value), dtype=np.int64)
     for _ in range(100):
         label = np.abs(value[:, None] - middle).argmin(axis=1)
-        new = np.array(
-            [
-                np.average(value[label == k], weights=weight[label == k]) if (label == k).any() else middle[k]
-                for k in range(count)
-            ]
-        )
+        new = middle.copy()
+        for k in np.unique(label):
+            new[k] = np.average(value[label == k], weights=weight[label == k])
         if np.allclose(new, middle):
             break
         middle = new

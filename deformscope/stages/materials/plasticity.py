@@ -82,10 +82,8 @@ def fit_yield(motion: Motion, options: YieldOptions | None = None, progress: Pro
     low, high = interval_ends(curve.grid, curve.excess, inside, value, limit)
     open_ = never <= least_squares.worse_than(SURE)
     # flow that counts as over leaves strains this far from the yield strain
-    low, high_end = (
-        min(low, value * (1.0 - SETTLED)),
-        None if open_ or high is None else max(high, value * (1.0 + SETTLED)),
-    )
+    low = min(low, value * (1.0 - SETTLED))
+    high_end = None if open_ or high is None else max(high, value * (1.0 + SETTLED))
     converged = bool(best.converged and np.isfinite(best.jacobian).all())
     simulated = histories.history(best.at)
     explained = histories.explained(simulated)

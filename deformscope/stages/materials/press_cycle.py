@@ -139,9 +139,8 @@ def find_cycle(
             raise InputError("a motion whose force goes back to nothing", came, RECORD)
         return _cycle(course, loaded, int(pressed[-1]) + 1, "force")
     if loaded == last:
-        raise InputError(
-            "a motion that is loaded and released", "one that is as deep at its last frame as ever", RECORD
-        )
+        came = "one that is as deep at its last frame as ever"
+        raise InputError("a motion that is loaded and released", came, RECORD)
     moving = np.flatnonzero(np.abs(course - course[-1]) > near)
     unloaded = int(moving[-1]) + 1
     if unloaded == last and course[-1] > near:
@@ -154,8 +153,8 @@ def _cycle(
     course: FloatArray, loaded: int, unloaded: int, source: Literal["displacement", "force", "given"]
 ) -> PressCycle:
     """The cycle of a course (T,) of the load, with the share of it that is left once unloaded."""
-    kept = float(course[unloaded] / course[loaded]) if course[loaded] else 0.0
-    return PressCycle(loaded=loaded, unloaded=unloaded, course=course, kept=kept, source=source)
+    left = float(course[unloaded] / course[loaded]) if course[loaded] else 0.0
+    return PressCycle(loaded, unloaded, course, left, source)
 
 
 def frames_to_fit(cycle: PressCycle, most: int, *, between: bool) -> IntArray:

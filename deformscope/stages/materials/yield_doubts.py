@@ -90,23 +90,13 @@ def _in_residuals(
     def relax(held: FloatArray, base: FloatArray, tolerance: float) -> Relaxed:
         position = history(np.repeat(beta, len(held)), held)[:, row]
         zero, settled = np.zeros(len(held)), np.isfinite(position[:, 0, 0])
-        return Relaxed(
-            position=position,
-            residual=zero,
-            error=zero,
-            iterations=zero.astype(np.int64),
-            converged=settled,
-            diverged=~settled,
-            smoothed=zero.astype(np.int64),
-            unaided=np.zeros(len(held), dtype=bool),
-            out_of_time=np.zeros(len(held), dtype=bool),
-        )
+        count, no = zero.astype(np.int64), np.zeros(len(held), dtype=bool)
+        return Relaxed(position, zero, zero, count, settled, ~settled, smoothed=count, unaided=no, out_of_time=no)
 
     response = part.response(tuple(best.at), simulated[row], relax)
     part.choose(simulated[row][None], response)
     part.kept = part.chosen
-    first = int(histories.judged[:row].sum()) * one.rest.shape[1]
-    count = int(histories.judged[row].sum()) * one.rest.shape[1]
+    first, count = (int(some.sum()) * one.rest.shape[1] for some in (histories.judged[:row], histories.judged[row]))
     others = best.jacobian[first : first + count].T.reshape(len(best.at), -1, one.rest.shape[1])
     some = np.searchsorted(np.flatnonzero(histories.judged[row]), part.judged)
 
@@ -114,11 +104,11 @@ def _in_residuals(
         return history(histories.shrink(stretched))
 
     body = FittedBody(
-        part=part,
-        grouped=histories.model.grouping(one),
-        position=simulated[row],
-        response=response,
-        others=others[:, some],
+        part,
+        histories.model.grouping(one),
+        simulated[row],
+        response,
+        others[:, some],
         states=lambda stretched: states(stretched)[:, row],
         whole=(histories.observed, lambda stretched: histories.compared(states(stretched))),
     )

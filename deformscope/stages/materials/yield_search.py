@@ -39,15 +39,8 @@ def elastic_minimum(histories: YieldHistories) -> Minimum:
     if not histories.fits_beta:
         at = histories.stretched(np.array([histories.options.beta], dtype=np.float64))
         found = simulate(at[None])[0]
-        none = np.zeros(1, dtype=bool)
-        return Minimum(
-            at=at,
-            simulated=found,
-            jacobian=np.zeros((found.size, 1)),
-            residual=histories.observed - found,
-            inside=none,
-            converged=True,
-        )
+        residual, nothing = histories.observed - found, np.zeros(1, dtype=bool)
+        return Minimum(at, found, np.zeros((found.size, 1)), residual, inside=nothing, converged=True)
     every = histories.stretched(np.linspace(0.05, 0.98, 2 * BETAS))[:, None]
     squares = np.sum((histories.observed - simulate(every)) ** 2, axis=1)
     if not np.isfinite(squares).any():

@@ -176,8 +176,6 @@ class GeneralOperator(Operator):
         )
         self._fit(self.arrays.kernels.fit_clusters, self._star, parameters, running, self.unkept(), GOAL)
         self._finish(u, self._star, motion, running, before, ran_away)
-        if self.law is not None:  # S^p flows by the fits that the goals were made of
-            self.flow(self._star, stop=False)
 
     def cluster_values(self, values: FloatArray) -> Field:
         """A beta for each cluster (B, C) as the kernels read them; along each axis (B, C or 1, d): W and C."""
@@ -189,8 +187,7 @@ class GeneralOperator(Operator):
 
     def put_plastic(self, plastic: FloatArray) -> None:
         """S^p (B, C, d, d)."""
-        d = self.dim
-        self.strain.assign(self._pack((plastic - np.eye(d)).reshape(*plastic.shape[:2], d * d)))
+        self.strain.assign(self._pack((plastic - np.eye(self.dim)).reshape(*plastic.shape[:2], -1)))
 
     def plastic(self) -> FloatArray:
         """S^p (B, C, d, d)."""
@@ -206,10 +203,10 @@ class GeneralOperator(Operator):
         every_group = wp.full(self.layout.groups, 1, dtype=int, device=self.layout.device)
         return self.cluster_field(1), self.cluster_field(1), every_group
 
-    def flow(self, u: Field, *, stop: bool) -> None:
-        """S^p flows by the fits at displacements u."""
+    def flow(self, u: Field) -> None:
+        """S^p flows by the fits at displacements u, and stops at the yield strain."""
         moved, size, every_group = self._flowed
-        inputs = [self.lists, self.arrays.rest, u, *self.law, int(stop), every_group]
+        inputs = [self.lists, self.arrays.rest, u, *self.law, 1, every_group]
         self.launch(self.arrays.kernels.flow, self.body.cluster_count, inputs, [self.strain, moved, size])
 
     def flowed(self) -> tuple[FloatArray, FloatArray]:

@@ -1,4 +1,4 @@
-"""A body that yields: time stepping, and the quasi-static states of a history of loads."""
+"""A body that yields: the quasi-static states of a history of loads."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
-from deformscope.stages.msm.materials import AxisBeta, Plasticity
+from deformscope.stages.msm.materials import Plasticity
 from deformscope.stages.msm.newton_functions import CONVERGED
 from deformscope.stages.msm.reference import Volume
-from deformscope.stages.msm.solver import TOLERANCE, Moving, Msm
+from deformscope.stages.msm.solver import TOLERANCE, Msm
 
 ROUNDS = 200
 """Most rounds of flow and relaxation under one load."""
@@ -36,10 +36,10 @@ class PlasticMsm:
     """B candidates of a body whose clusters yield (see `materials`), with their plastic deformations.
 
     body: any clusters and basis; it runs by index lists; size: B; law: law of plasticity, whose numbers can differ
-    between candidates; axes: (d, d) the material's axes, where beta is to be an `AxisBeta` (linear basis, theta = 0)"""
+    between candidates"""
 
-    def __init__(self, body: Msm, law: Plasticity, size: int = 1, *, axes: FloatArray | None = None) -> None:
-        self.body = body.variant(axes=axes, plastic=True)
+    def __init__(self, body: Msm, law: Plasticity, size: int = 1) -> None:
+        self.body = body.variant(plastic=True)
         self._bodies = {self.body.held.tobytes(): self.body}
         self.size = size
         self.law = law
@@ -49,7 +49,6 @@ class PlasticMsm:
         )
         self._plastic = np.broadcast_to(np.eye(body.dim), (size, body.cluster_count, body.dim, body.dim)).copy()
         self._position: FloatArray = np.broadcast_to(body.rest, (size, *body.rest.shape)).copy()
-        self._moving: Moving | None = None
 
     @property
     def plastic(self) -> FloatArray:
@@ -62,12 +61,11 @@ class PlasticMsm:
         if key.tobytes() not in self._bodies:
             self._bodies[key.tobytes()] = self.body.holding(key)
         self.body = self._bodies[key.tobytes()]
-        self._moving = None
 
     def load(
         self,
         held_position: FloatArray,
-        beta: FloatArray | float | AxisBeta,
+        beta: FloatArray | float,
         theta: FloatArray | float = 0.0,
         *,
         volume: Volume = "project",
@@ -103,7 +101,7 @@ class PlasticMsm:
         still = np.zeros(self.size, dtype=bool)
         rounds = 0
         for rounds in range(1, ROUNDS + 1):
-            operator.flow(method.u, stop=True)
+            operator.flow(method.u)
             moved, before = operator.flowed()
             if rounds == 1:
                 strain = before.copy()
@@ -123,7 +121,7 @@ class PlasticMsm:
     def residual(
         self,
         position: FloatArray,
-        beta: FloatArray | float | AxisBeta,
+        beta: FloatArray | float,
         theta: FloatArray | float = 0.0,
         *,
         volume: Volume = "project",
@@ -145,69 +143,15 @@ class PlasticMsm:
         method.evaluate()
         return np.asarray(method.layout.get(method.residual, body.dim) * body.scale)
 
-    def start(self, position: FloatArray | None = None) -> None:
-        """Start without velocity at `position` (K, d) or (B, K, d), default the present one; S^p is unchanged."""
-        if position is not None:
-            self._position = np.broadcast_to(position, self._position.shape).copy()
-        self._moving = None
-
-    def step(
-        self,
-        held_position: FloatArray,
-        beta: FloatArray | float | AxisBeta,
-        theta: FloatArray | float = 0.0,
-        *,
-        volume: Volume = "scale",
-        alpha: float = 1.0,
-        dt: float = 2e-3,
-        acceleration: Sequence[float] | None = None,
-        steps: int = 1,
-    ) -> FloatArray:
-        """Time stepping as `Msm.step`, S^p flowing by dt * creep of S - I in each step; returns (B, K, d)."""
-        if not np.isfinite(self._creep).all():
-            raise ValueError("expected a finite creep [1/s] to step in time; `load` is for immediate flow")
-        if self._moving is None:
-            self._moving = self.body.start(self.size, self._position)
-        operator = self._moving.operator
-        operator.put_plastic(self._plastic)
-        operator.set_law(self._yield, dt * self._creep, self._maximum)
-        self._position = self.body.step(
-            self._moving,
-            held_position,
-            self._plain(beta, theta),
-            theta,
-            volume=volume,
-            alpha=alpha,
-            dt=dt,
-            acceleration=acceleration,
-            steps=steps,
-        )
-        self._plastic = operator.plastic()
-        return self._position.copy()
-
-    @property
-    def diverged(self) -> BoolArray:
-        """(B,) candidates that ran away while stepping."""
-        return np.zeros(self.size, dtype=bool) if self._moving is None else self._moving.diverged
-
-    def _plain(self, beta: FloatArray | float | AxisBeta, theta: FloatArray | float) -> FloatArray | float:
-        """beta as the variant takes it: one or (B,), or of an `AxisBeta` (B, 1, d)."""
-        axes = self.body._axes
-        if not isinstance(beta, AxisBeta):
-            if axes is not None:
-                raise ValueError("expected an AxisBeta for a body with axes; got one beta")
-            return beta
-        if axes is None or not np.array_equal(axes, np.asarray(beta.axes)):
-            raise ValueError("expected one beta, or an AxisBeta along the axes that the body was made with")
-        if np.any(theta):
-            raise ValueError("expected theta = 0 with a beta along each axis")
-        return beta.value[:, None, :]
+    def start(self, position: FloatArray) -> None:
+        """Put the particles at `position` (K, d) or (B, K, d); S^p is unchanged."""
+        self._position = np.broadcast_to(position, self._position.shape).copy()
 
     def _parameters(
-        self, held_position: FloatArray, beta: FloatArray | float | AxisBeta, theta: FloatArray | float
+        self, held_position: FloatArray, beta: FloatArray | float, theta: FloatArray | float
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Held displacements (B, h, d) in particle spacings, beta (B, ...) and theta (B,)."""
-        held_u, beta_b, theta_b = self.body._candidates(held_position, self._plain(beta, theta), theta)
+        held_u, beta_b, theta_b = self.body._candidates(held_position, beta, theta)
         if len(beta_b) not in (1, self.size):
             raise ValueError(f"expected {self.size} candidates, or one for all; got {len(beta_b)}")
-        return (held_u, np.broadcast_to(beta_b, (self.size, *beta_b.shape[1:])), np.broadcast_to(theta_b, (self.size,)))
+        return held_u, np.broadcast_to(beta_b, (self.size, *beta_b.shape[1:])), np.broadcast_to(theta_b, (self.size,))

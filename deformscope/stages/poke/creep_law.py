@@ -191,7 +191,7 @@ class CreepLaw:
     def _dents(self, parameters: FloatArray, spectrum: Spectrum) -> tuple[FloatArray, FloatArray, FloatArray]:
         """(d, m) log of the force that would make each sample's dent at once, over the set force; that dent [m]; and
         the derivatives of that force (d, k, m)."""
-        more, by_parameter = spectrum.felt(parameters[:, SHAPE:], self._filtered)
+        more, by_parameter = spectrum.added(parameters[:, SHAPE:], self._filtered)
         log_force = np.log(np.maximum(self._share + more, LEAST_SHARE))
         return log_force, np.exp(self._log_dent(parameters[:, None], log_force)), by_parameter
 

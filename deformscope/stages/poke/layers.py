@@ -40,7 +40,8 @@ class MeasuredSurface:
         if not np.isfinite(self.points).all():
             raise InputError("finite surface points", "NaN or infinity", "drop those points")
         if not (np.isfinite(self.thickness) and self.thickness > 0.0):
-            raise InputError("a thickness above 0", f"{self.thickness:g}", "the material's depth [m]")
+            hint = "the depth of material below the surface [m]"
+            raise InputError("a thickness above 0", f"{self.thickness:g}", hint)
         flat = np.sort(np.linalg.svd(self.points[:, :2] - self.points[:, :2].mean(axis=0), compute_uv=False))
         if flat[0] <= 1e-3 * flat[-1]:
             raise InputError("surface points that cover an area seen from above", "points above one line")
@@ -166,8 +167,8 @@ def below(
     count = last - first + 1
     if (count < 2).any():
         wide, long = np.ptp(surface.points[:, :2], axis=0)
-        wanted, came = "a surface of two lattice spacings a side", f"{wide:g} x {long:g} m, spaced by {spacing:g} m"
-        raise InputError(wanted, came, "a smaller --spacing-m, or a place on the surface")
+        wanted, came = "a surface of at least two lattice spacings a side", f"{wide:g} x {long:g} m at a spacing of"
+        raise InputError(wanted, f"{came} {spacing:g} m", "a smaller --spacing-m, or a place on the surface")
     axes = [at[i] + spacing * np.arange(first[i], last[i] + 1) for i in range(2)]
     place = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
     layers = max(FEWEST_LAYERS, round(surface.thickness / spacing) + 1)

@@ -194,7 +194,8 @@ def evaluate(
         for name in table.modalities:
             if (name, "pooled") not in found:
                 came = f"too few trials with {name}, or none that differ in it"
-                raise InputError("features that vary on the training side of every split", came, "leave it out")
+                wanted = "features that vary on the training side of every split"
+                raise InputError(wanted, came, "leave that modality out")
         scores += [score_of(table, key, protocol, splits, one, options.level) for key, one in found.items()]
         if protocol == strictest:
             outcomes, drawn = found, splits

@@ -77,7 +77,8 @@ def find_container(points_m: FloatArray, shape: str, *, expected: ContainerFit |
             raise InputError("one container on the table", came, "clear the table, or check [surface] and T_arm_camera")
         piece = pieces[0]
     if len(piece) < LEAST_POINTS:
-        raise ContainerHidden(f"{LEAST_POINTS} points of a container", f"{len(piece)}", "a camera that sees it")
+        wanted = f"{LEAST_POINTS} points of a container"
+        raise ContainerHidden(wanted, f"{len(piece)}", "a camera with the container in view")
     top_m = _top(piece[:, 2])
     if expected is not None:
         top_m = float(min(top_m, expected.size_m[2])) if top_m > LOWER * expected.size_m[2] else top_m
@@ -91,7 +92,8 @@ def find_container(points_m: FloatArray, shape: str, *, expected: ContainerFit |
         raise hidden
     found = _upright(shape, sides, tops, top_m, expected)
     if found.rms_m > BAD_RMS_M:
-        wanted, came = f"an upright {shape}, within {1e3 * BAD_RMS_M:.1f} mm", f"{1e3 * found.rms_m:.1f} mm off"
+        wanted = f"an upright {shape}, within {1e3 * BAD_RMS_M:.1f} mm"
+        came = f"something that is off by {1e3 * found.rms_m:.1f} mm"
         raise InputError(wanted, came, "a container of [container] shape")
     return found
 

@@ -96,7 +96,8 @@ def check_model(model: ContentModel, table: LabelledTable, *, level: float = 0.9
         raise InputError(f"labels out of {', '.join(model.labels)}", came, "--merge, or relabel")
     features = {name: table.modalities[name] for name in model.modalities if name in table.modalities}
     if model.settings and table.settings and model.settings != table.settings:
-        raise InputError("features computed as in the model's training", "others", "the same [hand] section")
+        wanted = "features computed as those that the model was trained on"
+        raise InputError(wanted, "others", "the same [hand] section")
     rows = np.flatnonzero(~np.all([np.isnan(values).all(axis=1) for values in features.values()], axis=0))
     if not features or not len(rows):
         raise InputError(f"features of {' or '.join(model.modalities)}", "none")

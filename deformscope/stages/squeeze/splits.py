@@ -31,9 +31,11 @@ def draw(protocol: Protocol, table: LabelledTable, count: int, seed: int) -> lis
     group = np.arange(len(table)) if table.group is None else np.unique(table.group, return_inverse=True)[1]
     if protocol == "group":
         if table.group is None:
-            raise InputError("a `group` for each trial", "none", "container or session, or leave splits by group out")
+            hint = "container or session, or leave the splits by group out"
+            raise InputError("a `group` for each trial", "none", hint)
         if len(single_group_classes(table)) == len(table.classes) or len(np.unique(table.group)) < 2:
-            raise InputError("classes from two groups or more, to train on one and test on another", "one of each")
+            wanted = "classes from two groups or more, to train on one and test on another"
+            raise InputError(wanted, "one group of each")
     drawn = []
     for index in range(count):
         rng = np.random.default_rng([seed, PROTOCOLS.index(protocol), index])

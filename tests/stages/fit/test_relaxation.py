@@ -109,11 +109,11 @@ def test_derivatives_of_spectra_are_their_differences(spectrum: Branches | Endle
 
     mean, spread = spectrum.priors()
     at = mean[:1] + 0.3 * spread
-    _, derivative = spectrum.felt(at, filtered)
+    _, derivative = spectrum.added(at, filtered)
     for index in range(at.shape[1]):
         step = 1e-6 * np.eye(at.shape[1])[index]
-        rise = (spectrum.felt(at + step, filtered)[0] - spectrum.felt(at - step, filtered)[0]) / 2e-6
+        rise = (spectrum.added(at + step, filtered)[0] - spectrum.added(at - step, filtered)[0]) / 2e-6
         assert derivative[0, index] == pytest.approx(rise[0], abs=1e-6)
     strength, retarded_s = spectrum.filters(at)
     total = strength[0] @ (1.0 - np.exp(-time / retarded_s[0][:, None]))
-    assert spectrum.felt(at, filtered)[0][0] == pytest.approx(total)
+    assert spectrum.added(at, filtered)[0][0] == pytest.approx(total)

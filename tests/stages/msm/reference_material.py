@@ -203,27 +203,6 @@ def bounded(plastic: FloatArray, span: FloatArray, maximum: float) -> FloatArray
     return toward(float(share))
 
 
-def step(
-    x: FloatArray,
-    v: FloatArray,
-    rest: Rest,
-    held_position: FloatArray,
-    plastic: Sequence[FloatArray],
-    law: Yielding,
-    *,
-    beta: Beta,
-    theta: float = 0.0,
-    alpha: float = 1.0,
-    dt: float = 2e-3,
-    volume: Volume = "scale",
-) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
-    """One time step as `reference_states.step`, and S^p after it, flown by dt creep (S - I) of the goals' own fit."""
-    x_star = x + v * dt
-    x_star[rest.held] = held_position
-    x_new = x_star + alpha * (goals(x_star, rest, beta, theta, plastic=plastic, volume=volume) - x_star)
-    return x_new, (x_new - x) / dt, flow(x_star, rest, plastic, law, dt * law.creep, stop=False)
-
-
 def load(
     x: FloatArray,
     rest: Rest,
