@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from deformscope.arrays import FloatArray
 from deformscope.capsule import Capsule
@@ -40,8 +41,7 @@ median (seeds 1000 to 1005: `studies.seeds`)."""
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
     """T_seen_reported: (4, 4) transform from the robot's reported to its seen pose; points: number of points that were
-    aligned
-    rms_m: root mean square of the points' distances"""
+    aligned; rms_m: root mean square of the points' distances"""
 
     T_seen_reported: FloatArray
     points: int
@@ -99,26 +99,12 @@ def _step(points: FloatArray, foot: FloatArray, normal: FloatArray, T_so_far: Fl
     prior = np.repeat([PRIOR_RAD, PRIOR_M], 3) ** -2.0
     # so far moved, by a rotation and of the middle: the prior is about where it began
     start = np.linalg.inv(T_so_far)
-    turned = _rotation_vector(T_so_far[:3, :3])
+    turned = Rotation.from_matrix(T_so_far[:3, :3]).as_rotvec()
     shifted = middle - (start[:3, :3] @ middle + start[:3, 3])
     normal_matrix = scale * (jacobian.T * weight) @ jacobian + np.diag(prior)
     right = -scale * (jacobian.T * weight) @ off - prior * np.concatenate([turned, shifted])
     found = np.linalg.solve(normal_matrix, right)
     T: FloatArray = np.eye(4)
-    T[:3, :3] = _rotation(found[:3])
+    T[:3, :3] = Rotation.from_rotvec(found[:3]).as_matrix()
     T[:3, 3] = middle + found[3:] - T[:3, :3] @ middle
     return T, float(np.sqrt((weight * off**2).sum() / weight.sum()))
-
-
-def _rotation(vector: FloatArray) -> FloatArray:
-    """(3, 3) of a rotation vector (3,) [rad]."""
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_rotvec(vector).as_matrix())
-
-
-def _rotation_vector(rotation: FloatArray) -> FloatArray:
-    """Rotation vector (3,) [rad] of (3, 3)."""
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_matrix(rotation).as_rotvec())

@@ -12,7 +12,7 @@ import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.stages.see.flow import SMALLEST_PX, FlowField, Image, dense_flow
+from deformscope.stages.see.flow import SMALLEST_PX, Image, dense_flow
 from deformscope.stages.see.particles import Rect, sample
 
 ARROWS_ALONG = 32
@@ -74,7 +74,7 @@ def region_of(image: Image, roi: Rect | None = None, longest_px: int = 160) -> R
 def flow_arrows(before: Image, after: Image, roi: Rect | None = None, longest_px: int = 160) -> FlowArrows:
     """Dense optical flow of a region from `before` to `after`, at a regular grid of points [px of the whole image]."""
     first, second = region_of(before, roi, longest_px), region_of(after, roi, longest_px)
-    found: FlowField = dense_flow(first.image, second.image)
+    found = dense_flow(first.image, second.image)
     height, width = first.image.shape[:2]
     step = max(max(height, width) / ARROWS_ALONG, 1.0)
     x, y = np.meshgrid(np.arange(0.5 * step, width - 0.5, step), np.arange(0.5 * step, height - 0.5, step))

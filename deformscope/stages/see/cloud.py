@@ -16,6 +16,9 @@ from deformscope.stages.see.align import as_seen
 from deformscope.stages.see.pixel_labels import LabelArray, PixelLabel
 from deformscope.stages.see.robot import NO_ROBOT, PosedRobot, label_robot, measured
 
+NEIGHBOURS, OUTLYING = 20, 2.0
+"""Neighbours of a point, and deviations of their mean distance, for a statistical outlier."""
+
 TACTILE_POINTS = 10
 """Virtual points on the tip (Thesis 4.4)."""
 
@@ -64,18 +67,11 @@ def back_project(depth_m: FloatArray, camera: Intrinsics, T_world_camera: FloatA
     z = depth[row, column]
     aside = (np.column_stack([column, row]) - camera.centre_px) / camera.focal_px
     if any(camera.distortion):
-        aside = _undistorted(aside, camera.distortion)
+        import cv2
+
+        coefficients = np.pad(camera.distortion, (0, 5 - len(camera.distortion)))
+        aside = cv2.undistortPoints(aside[:, None, :], np.eye(3), coefficients)[:, 0, :]
     return np.asarray(np.column_stack([aside * z[:, None], z]) @ transform[:3, :3].T + transform[:3, 3])
-
-
-def _undistorted(aside: FloatArray, distortion: tuple[float, ...]) -> FloatArray:
-    """(n, 2) x / z and y / z as a camera without distortion would see them."""
-    import cv2
-
-    coefficients = np.zeros(5)
-    coefficients[: len(distortion)] = distortion
-    found = cv2.undistortPoints(aside[:, None, :].astype(np.float64), np.eye(3), coefficients)
-    return np.asarray(found[:, 0, :], dtype=np.float64)
 
 
 def within(points: FloatArray, box: Box) -> BoolArray:
@@ -83,17 +79,17 @@ def within(points: FloatArray, box: Box) -> BoolArray:
     return np.asarray(((points >= box.low_m) & (points <= box.high_m)).all(axis=1))
 
 
-def not_alone(points: FloatArray, *, neighbours: int = 20, ratio: float = 2.0) -> BoolArray:
-    """(n,) points that are no statistical outliers. A point is retained if its mean distance to its nearest neighbours
-    is at most that of all points plus `ratio` deviations (Rusu et al. 2008).
+def not_alone(points: FloatArray) -> BoolArray:
+    """(n,) points that are no statistical outliers. A point is retained if its mean distance to its `NEIGHBOURS`
+    nearest is at most that of all points plus `OUTLYING` deviations (Rusu et al. 2008).
 
-    If there are no more than `neighbours` points, all are retained. Open3D has the same rule and takes a third of the
+    If there are no more than `NEIGHBOURS` points, all are retained. Open3D has the same rule and takes a third of the
     time, but blocks all other threads meanwhile (0.5 s for 100 000 points on a busy machine)."""
-    if len(points) <= neighbours:
+    if len(points) <= NEIGHBOURS:
         return np.ones(len(points), dtype=bool)
-    distance, _ = cKDTree(points).query(points, k=neighbours + 1)
+    distance, _ = cKDTree(points).query(points, k=NEIGHBOURS + 1)
     mean = distance[:, 1:].mean(axis=1)
-    return np.asarray(mean <= mean.mean() + ratio * mean.std())
+    return np.asarray(mean <= mean.mean() + OUTLYING * mean.std())
 
 
 def reduce_to_grid(points: FloatArray, cell_m: float) -> tuple[FloatArray, FloatArray, IntArray]:
@@ -184,14 +180,13 @@ def perceive(
     inside = within(points, box)
     points = points[inside]
     label = label_robot(points, robot, depth_m, inside)
-    kept = label == PixelLabel.USED
-    label[kept] = np.where(not_alone(points[kept]), PixelLabel.USED, PixelLabel.LONE)
+    used = label == PixelLabel.USED
+    label[used] = np.where(not_alone(points[used]), PixelLabel.USED, PixelLabel.LONE)
     every[inside] = label
     points = points[label == PixelLabel.USED]
     if not len(points):
-        raise InputError(
-            "points of the surface in the depth image", f"none of {len(every)} seen", "check T_world_camera and the box"
-        )
+        came = f"none of {len(every)} seen"
+        raise InputError("points of the surface in the depth image", came, "check T_world_camera and the box")
     noise = height_noise_m(points, T_world_camera)
     place: IntArray = np.arange(len(points))
     if cell_m is not None:

@@ -125,11 +125,11 @@ def outlined(mask: npt.NDArray[Any] | None, outline: Sequence[float], size: tupl
     each corner in turn [px]; size: H, W [px]"""
     if mask is not None and mask.shape[:2] != size:
         raise InputError(f"a mask of the image's size {size}", f"{mask.shape[:2]} (rows, columns)")
-    kept = np.full(size, 255, dtype=np.uint8) if mask is None else mask.copy()
+    material = np.full(size, 255, dtype=np.uint8) if mask is None else mask.copy()
     inside = np.zeros(size, dtype=np.uint8)
     cv2.fillPoly(inside, [np.rint(np.reshape(outline, (-1, 2))).astype(np.int32)], 1)
-    kept[inside == 0] = 0
-    return kept
+    material[inside == 0] = 0
+    return material
 
 
 def seed_grid(
@@ -152,12 +152,14 @@ def seed_grid(
         raise InputError(f"a mask of the image's size {(height, width)}", f"{mask.shape} (rows, columns)")
     if mask is not None and not mask.any():
         raise InputError("a mask with material in it", "an empty mask")
-    region = roi or _bounding_box(mask, height, width)
+    region = roi or Rect(0, 0, width, height)
+    if roi is None and mask is not None:
+        x, y, wide, high = cv2.boundingRect(mask.astype(np.uint8))
+        region = Rect(float(x), float(y), float(wide), float(high))
     fits = region.x >= 0 and region.y >= 0 and region.x + region.width <= width and region.y + region.height <= height
     if not (fits and region.width > 0 and region.height > 0):
-        raise InputError(
-            f"a region inside the {width} x {height} px image", region.described(), "--roi x,y,width,height in px"
-        )
+        wanted = f"a region inside the {width} x {height} px image"
+        raise InputError(wanted, region.described(), "--roi x,y,width,height in px")
     if shape is not None and spacing_px is not None:
         raise InputError("a grid shape or a spacing", "both", "leave one out")
     if shape is not None:
@@ -173,9 +175,8 @@ def seed_grid(
     if rows < 2 or cols < 2:
         raise InputError("at least 2 rows and 2 columns of particles", f"{rows} x {cols}", "more rows, less spacing")
     if spacing.min() < SMALLEST_SPACING_PX:
-        raise InputError(
-            f"a spacing of at least {SMALLEST_SPACING_PX:g} px", f"{spacing.min():.3g} px", "fewer rows or columns"
-        )
+        wanted = f"a spacing of at least {SMALLEST_SPACING_PX:g} px"
+        raise InputError(wanted, f"{spacing.min():.3g} px", "fewer rows or columns")
     centre = np.array([region.x + region.width / 2, region.y + region.height / 2])
     x = centre[0] + (np.arange(cols) - (cols - 1) / 2) * spacing[0]
     y = centre[1] + (np.arange(rows) - (rows - 1) / 2) * spacing[1]
@@ -187,13 +188,6 @@ def seed_grid(
     if len(cell) < 4:
         raise InputError("at least 4 particles on the material", f"{len(cell)}", "a closer spacing or a larger region")
     return ParticleGrid(rest[cell], (int(rows), int(cols)), cell, spacing)
-
-
-def _bounding_box(mask: BoolArray | None, height: int, width: int) -> Rect:
-    if mask is None:
-        return Rect(0, 0, width, height)
-    rows, cols = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    return Rect(float(cols[0]), float(rows[0]), float(np.ptp(cols) + 1), float(np.ptp(rows) + 1))
 
 
 def select_held(grid: ParticleGrid, groups: Sequence[str], contact: Rect | None = None) -> IntArray:
@@ -210,9 +204,8 @@ def select_held(grid: ParticleGrid, groups: Sequence[str], contact: Rect | None 
                 raise InputError("a contact rectangle", "none", "give x, y, width, height in px")
             touched = contact.contains(grid.rest_px)
             if not touched.any():
-                raise InputError(
-                    "particles inside the contact rectangle", f"none in {contact.described()}", "a larger rectangle"
-                )
+                came = f"none in {contact.described()}"
+                raise InputError("particles inside the contact rectangle", came, "a larger rectangle")
             held |= touched
         elif group == "border":
             held |= np.any(list(sides.values()), axis=0)
@@ -278,7 +271,16 @@ def advance(tracked: Tracked, forward: FlowField, backward: FlowField) -> Tracke
     residual = step + sample(backward.flow_px, there)
     length = np.linalg.norm(residual, axis=1)
     found = tracked.seen & np.isfinite(length)
-    typical, spread = _neighbourhood(here, residual, length, found)
+    # Over the nine nearest found particles, itself among them: one particle's own residual is a single draw, and the
+    # median keeps a lost neighbour from spoiling the rest.
+    typical, spread = np.zeros(len(here)), np.zeros(len(here))
+    if found.any():
+        count = min(9, int(found.sum()))
+        _, near = scipy.spatial.cKDTree(here[found]).query(here, [*range(1, count + 1)])
+        typical = np.median(length[found][near], axis=1)
+        around = np.abs(residual[found][near]).reshape(len(here), -1)
+        # The median of |normal| is 0.6745 of its standard deviation.
+        spread = np.median(around, axis=1) / 0.6745 / np.sqrt(2)
     limit = RESIDUAL_PX + RESIDUAL_SHARE * np.linalg.norm(step, axis=1)
     with np.errstate(invalid="ignore"):  # what is not finite is not found either
         seen = found & (length <= np.clip(5.0 * typical, limit, 3.0 * limit))
@@ -293,20 +295,3 @@ def advance(tracked: Tracked, forward: FlowField, backward: FlowField) -> Tracke
         seen=seen,
         forward_backward_px=np.where(tracked.seen, length, np.nan),
     )
-
-
-def _neighbourhood(
-    here: FloatArray, residual: FloatArray, length: FloatArray, found: BoolArray
-) -> tuple[FloatArray, FloatArray]:
-    """Over the nine nearest found particles, itself among them: median residual length, spread of one flow; (K,) [px].
-
-    One particle's own residual is a single draw; the median keeps a lost neighbour from spoiling the rest."""
-    typical, spread = np.zeros(len(here)), np.zeros(len(here))
-    if found.any():
-        count = min(9, int(found.sum()))
-        _, near = scipy.spatial.cKDTree(here[found]).query(here, [*range(1, count + 1)])
-        typical = np.median(length[found][near], axis=1)
-        around = np.abs(residual[found][near]).reshape(len(here), -1)
-        # The median of |normal| is 0.6745 of its standard deviation.
-        spread = np.median(around, axis=1) / 0.6745 / np.sqrt(2)
-    return typical, spread

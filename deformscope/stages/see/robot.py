@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -49,13 +50,13 @@ def label_robot(points: FloatArray, robot: PosedRobot, depth_m: FloatArray, used
     points [m]; used: (m,) which of the valid pixels, row by row, they are"""
     label = np.full(len(points), PixelLabel.USED, np.uint8)
     label[~outside_capsules(points, robot.capsules, margin_m=robot.margin_m)] = PixelLabel.ROBOT_CAPSULE
-    kept = np.flatnonzero(label == PixelLabel.USED)
-    outside = outside_solids(points[kept], robot.solids, margin_m=robot.solid_margin_m + robot.margin_m)
-    label[kept[~outside]] = PixelLabel.ROBOT_SOLID
+    left = np.flatnonzero(label == PixelLabel.USED)
+    outside = outside_solids(points[left], robot.solids, margin_m=robot.solid_margin_m + robot.margin_m)
+    label[left[~outside]] = PixelLabel.ROBOT_SOLID
     if robot.mixes:
-        kept = kept[outside]
+        left = left[outside]
         mixed = at_jumps(depth_m)[measured(depth_m)][used]
-        label[kept[~standing(points[kept], mixed[kept])]] = PixelLabel.HANGING
+        label[left[~standing(points[left], mixed[left])]] = PixelLabel.HANGING
     return label
 
 
@@ -104,9 +105,9 @@ def at_jumps(depth_m: FloatArray) -> BoolArray:
     import cv2
 
     depth = np.nan_to_num(depth_m, nan=0.0).astype(np.float32)
-    beside = np.ones((3, 3), np.uint8)
-    far = cv2.dilate(depth, beside)
-    near = -cv2.dilate(np.where(depth > 0.0, -depth, -np.float32(np.inf)), beside)
+    adjacent = np.ones((3, 3), np.uint8)
+    far = cv2.dilate(depth, adjacent)
+    near = -cv2.dilate(np.where(depth > 0.0, -depth, -np.float32(np.inf)), adjacent)
     jump = ((far - near) > JUMP_M).astype(np.uint8)
     side = 2 * EDGE_PX - 1
     return np.asarray(cv2.dilate(jump, np.ones((side, side), np.uint8)) > 0)
@@ -130,12 +131,10 @@ def standing(points: FloatArray, mixed: BoolArray) -> BoolArray:
     height = np.full(shape, np.nan)
     for side in (3, 7, 15):
         # an unnormalised sum over the cells around, wider where there was nothing
-        sums = [
-            cv2.boxFilter(one, -1, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT)
-            for one in (count, total)
-        ]
-        wanted = np.isnan(height) & (sums[0] > 0.5)
-        height[wanted] = sums[1][wanted] / sums[0][wanted]
+        around = partial(cv2.boxFilter, ddepth=-1, ksize=(side, side), normalize=False, borderType=cv2.BORDER_CONSTANT)
+        counted, summed = around(count), around(total)
+        wanted = np.isnan(height) & (counted > 0.5)
+        height[wanted] = summed[wanted] / counted[wanted]
     above = points[mixed, 2] - height.ravel()[cell[mixed]]
     stands[mixed] = ~(above > HOVER_M)
     return stands

@@ -42,10 +42,10 @@ def tactile_contact(
         if not np.isfinite(pressure).all():
             raise InputError("finite pressures", f"NaN or infinity on pad {pad}")
         row, column = np.nonzero(pressure > threshold_pa)
-        felt = pressure[row, column]
-        area_m2[pad] = len(felt) * width * height
-        force_n[pad] = felt.sum() * width * height
+        load = pressure[row, column]
+        area_m2[pad] = len(load) * width * height
+        force_n[pad] = load.sum() * width * height
         peak_pa[pad] = pressure.max(initial=0.0)
-        if felt.sum() > 0.0:
-            center_m[pad] = (felt @ (column + 0.5) * width / felt.sum(), felt @ (row + 0.5) * height / felt.sum())
+        if load.sum() > 0.0:
+            center_m[pad] = (load @ (column + 0.5) * width / load.sum(), load @ (row + 0.5) * height / load.sum())
     return TactileContact(center_m, area_m2, force_n, peak_pa)

@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 from scipy.spatial import Delaunay, QhullError, cKDTree
 
-from deformscope.arrays import FloatArray, IntArray
+from deformscope.arrays import BoolArray, FloatArray, IntArray
 
 REACH = 1.5
 """Triangles whose longest edge is this many times the typical one bridge a hole or a notch; they are left out."""
@@ -50,13 +50,17 @@ def triangulate(rest: FloatArray) -> IntArray:
     if len(rest) < 3:
         return nothing
     try:
-        if rest.shape[1] == 2:
-            return _short(Delaunay(rest).simplices, rest)
-        if is_surface(rest):
-            seen = _from_above(rest)
-            return nothing if seen is None else _short(Delaunay(seen).simplices, rest)
-        tetrahedra = _short(Delaunay(rest).simplices, rest)
-        faces = np.concatenate([np.delete(tetrahedra, corner, axis=1) for corner in range(4)])
+        plane = rest
+        if surface := rest.shape[1] == 3 and is_surface(rest):
+            middle = rest - rest.mean(axis=0)
+            plane = middle @ np.linalg.svd(middle, full_matrices=False)[2][:2].T
+            if spacing_of(plane) < FOLDED * spacing_of(rest):
+                return nothing
+        simplices = Delaunay(plane).simplices
+        simplices = simplices[_whole(simplices, rest)]
+        if rest.shape[1] == 2 or surface:
+            return np.asarray(simplices)
+        faces = np.concatenate([np.delete(simplices, corner, axis=1) for corner in range(4)])
         _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
         return np.asarray(faces[first[count == 1]])
     except (QhullError, ValueError):  # all on a line
@@ -81,9 +85,7 @@ def raster(rest: FloatArray, place: FloatArray, value: FloatArray, cells: int) -
     x, y = (low[axis] + (np.arange(count) + 0.5) * side for axis, count in ((0, columns), (1, rows)))
     at = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     inside = cut.find_simplex(at)
-    whole = np.zeros(len(cut.simplices), dtype=bool)
-    whole[_kept(cut.simplices, rest)] = True
-    hit = np.flatnonzero((inside >= 0) & whole[inside])
+    hit = np.flatnonzero((inside >= 0) & _whole(cut.simplices, rest)[inside])
     transform = cut.transform[inside[hit]]
     two = np.einsum("nij,nj->ni", transform[:, :2], at[hit] - transform[:, 2])
     weight = np.column_stack([two, 1.0 - two.sum(axis=1)])
@@ -91,13 +93,8 @@ def raster(rest: FloatArray, place: FloatArray, value: FloatArray, cells: int) -
     return grid, low, side
 
 
-def _short(simplices: IntArray, rest: FloatArray) -> IntArray:
-    """(n, d + 1) simplices that bridge nothing."""
-    return np.asarray(simplices[_kept(simplices, rest)])
-
-
-def _kept(simplices: IntArray, rest: FloatArray) -> IntArray:
-    """Rows (n,) of the simplices (s, d + 1) that bridge nothing, by their edges at rest (K, d)."""
+def _whole(simplices: IntArray, rest: FloatArray) -> BoolArray:
+    """(s,) which of the simplices (s, d + 1) bridge nothing, by their edges at rest (K, d)."""
     corners = rest[simplices]
     pairs = list(combinations(range(simplices.shape[1]), 2))
     edge = np.max([np.linalg.norm(corners[:, a] - corners[:, b], axis=1) for a, b in pairs], axis=0)
@@ -107,12 +104,4 @@ def _kept(simplices: IntArray, rest: FloatArray) -> IntArray:
         squares = np.sum(one**2, axis=1) * np.sum(other**2, axis=1) - np.sum(one * other, axis=1) ** 2
         area = np.sqrt(np.maximum(squares, 0.0))
         whole &= area > SLIVER * np.median(area)
-    return np.flatnonzero(whole)
-
-
-def _from_above(rest: FloatArray) -> FloatArray | None:
-    """A surface (K, 3) in its best plane (K, 2); None where it is folded there."""
-    middle = rest - rest.mean(axis=0)
-    _, _, axes = np.linalg.svd(middle, full_matrices=False)
-    seen = middle @ axes[:2].T
-    return None if spacing_of(seen) < FOLDED * spacing_of(rest) else np.asarray(seen)
+    return np.asarray(whole)

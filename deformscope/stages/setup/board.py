@@ -13,10 +13,12 @@ import numpy.typing as npt
 
 from deformscope.arrays import FloatArray, ImageArray, IntArray
 from deformscope.errors import InputError
-from deformscope.stages.setup.transform import LEVEL, half_widths, rigid
+from deformscope.stages.setup.transform import half_widths, rigid
 
 MARKER_SHARE = 0.75
 """Share of a square that its marker fills."""
+SQUARE_PX = 120
+"""Side of a square of the printed board [px]."""
 FEWEST_CORNERS = 6
 FEWEST_VIEWS = 6
 BENDING = cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST
@@ -75,11 +77,10 @@ def _charuco(board: CharucoSpec) -> Any:
     return cv2.aruco.CharucoBoard(sides, board.square_m, MARKER_SHARE * board.square_m, markers)
 
 
-def board_image(board: CharucoSpec, square_px: int = 120) -> npt.NDArray[np.uint8]:
+def board_image(board: CharucoSpec) -> npt.NDArray[np.uint8]:
     """(H, W) the board to print, a margin of half a square around it."""
-    margin = square_px // 2
-    size = (board.columns * square_px + 2 * margin, board.rows * square_px + 2 * margin)
-    return np.asarray(_charuco(board).generateImage(size, marginSize=margin, borderBits=1), np.uint8)
+    size = ((board.columns + 1) * SQUARE_PX, (board.rows + 1) * SQUARE_PX)
+    return np.asarray(_charuco(board).generateImage(size, marginSize=SQUARE_PX // 2, borderBits=1), np.uint8)
 
 
 def find_board(image: ImageArray, board: CharucoSpec) -> SeenBoard | None:
@@ -104,7 +105,7 @@ def lens(views: Sequence[SeenBoard], size_px: tuple[int, int], board: CharucoSpe
     found = cv2.calibrateCameraExtended(objects, images, size_px, None, None, flags=BENDING)  # type: ignore[call-overload]
     left_over, camera, distortion, turns, _, sd = found[:6]
     count = sum(2 * len(view.px) for view in views) - 6 * len(views) - 6
-    half = half_widths(np.diag(np.asarray(sd, np.float64).reshape(-1)[:4] ** 2), count, LEVEL)
+    half = half_widths(np.diag(np.asarray(sd, np.float64).reshape(-1)[:4] ** 2), count)
     matrix = np.asarray(camera, np.float64)
     focal = matrix[[0, 1], [0, 1]]
     unknown, share = float((half[:2] / focal).max()), focal / size_px[0]

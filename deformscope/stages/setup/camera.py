@@ -10,7 +10,7 @@ import numpy as np
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.setup.board import CharucoSpec, LensEstimate, SeenBoard, board_pose, lens
-from deformscope.stages.setup.hand_eye import HandEye, hand_eye
+from deformscope.stages.setup.hand_eye import HandEye, hand_eye, jackknifed
 from deformscope.stages.setup.transform import TransformEstimate
 
 
@@ -53,12 +53,7 @@ def camera_from_views(
         others = [*views[:index], *views[index + 1 :]]
         without, _ = _all(np.delete(T_base_ee, index, axis=0), others, size_px, board)
         off.append([*X.deviation(without.T_arm_camera.T), *Y.deviation(without.T_ee_board.T)])
-    apart = np.array(off) - np.mean(off, axis=0)
-    covariance = (len(views) - 1.0) / len(views) * apart.T @ apart
-    mount = HandEye(
-        TransformEstimate(X.T, covariance[:6, :6], X.dof), TransformEstimate(Y.T, covariance[6:, 6:], Y.dof), whole.off
-    )
-    return CameraEstimate(mount, found)
+    return CameraEstimate(jackknifed(X.T, Y.T, np.array(off), whole.off), found)
 
 
 def _all(

@@ -12,7 +12,7 @@ import numpy as np
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.setup.tip import spread
-from deformscope.stages.setup.transform import LEVEL, ErrorPrior, LeastSquares, half_widths, judged
+from deformscope.stages.setup.transform import ErrorPrior, half_widths, judged
 
 PUSHED = ErrorPrior(np.radians(6.0))
 """Deviation of the direction of a push by hand [rad]."""
@@ -48,49 +48,43 @@ class ForceMount:
     off_rad: FloatArray
 
 
-def mount(force_n: FloatArray, axes: FloatArray, *, prior: ErrorPrior = PUSHED) -> ForceMount:
+def mount(force_n: FloatArray, axes: FloatArray) -> ForceMount:
     """Orientation of the sensor, from its forces (n, 3) [N] during pushes along `axes` (n, 3), unit vectors in the
     tip's frame.
 
     The sensor's z axis is taken to lie along the stick, one way or the other. Raises InputError for pushes too weak,
     along one axis alone, without one along the stick, or that fit no way of sitting."""
-    felt, pushed = np.asarray(force_n, np.float64), np.asarray(axes, np.float64)
-    size_n = np.linalg.norm(felt, axis=1)
-    if not np.isfinite(felt).all() or (size_n < LEAST_N).any():
+    force, pushed = np.asarray(force_n, np.float64), np.asarray(axes, np.float64)
+    size_n = np.linalg.norm(force, axis=1)
+    if not np.isfinite(force).all() or (size_n < LEAST_N).any():
         raise InputError(f"pushes of {LEAST_N:g} N or more", f"{np.nanmin(size_n):.2f} N", "push harder, and hold")
     along = np.abs(pushed[:, 2]) > 0.9
     if not along.any():
         raise InputError("a push along the stick (z)", "none", "press the tip onto the table: +z")
-    signs = np.sign(felt[along, 2] * pushed[along, 2])
-    aside = np.linalg.norm(felt[along, :2], axis=1) > np.tan(ASIDE_RAD) * np.abs(felt[along, 2])
+    signs = np.sign(force[along, 2] * pushed[along, 2])
+    aside = np.linalg.norm(force[along, :2], axis=1) > np.tan(ASIDE_RAD) * np.abs(force[along, 2])
     if aside.any() or len(set(signs.tolist())) > 1:
         came = "one that the sensor measures across it" if aside.any() else "pushes whose signs contradict each other"
         raise InputError("pushes along the stick that the sensor measures on its z axis", came, "push along the stick")
-    flat, aim = felt[~along, :2], pushed[~along, :2]
+    flat, aim = force[~along, :2], pushed[~along, :2]
     lines = np.arctan2(aim[:, 1], aim[:, 0])
-    if len(lines) < 2 or _widest(lines) < LEAST_ANGLE_RAD:
+    between = np.abs(lines[:, None] - lines) % np.pi
+    if np.minimum(between, np.pi - between).max(initial=0.0) < LEAST_ANGLE_RAD:
         raise InputError("pushes along x and along y", "pushes along one axis alone", "push +x as well as +y")
-    if (np.abs(felt[~along, 2]) > np.tan(ASIDE_RAD) * np.linalg.norm(flat, axis=1)).any():
-        raise InputError(
-            "pushes across the stick", "one that the sensor measures along the stick", "push along x and y"
-        )
+    if (np.abs(force[~along, 2]) > np.tan(ASIDE_RAD) * np.linalg.norm(flat, axis=1)).any():
+        came = "one that the sensor measures along the stick"
+        raise InputError("pushes across the stick", came, "push along x and y")
     seen = np.arctan2(flat[:, 1], flat[:, 0])
     plain, mirrored = _turned(seen, lines), _turned(-seen, lines)
     turn, off = min((plain, mirrored), key=lambda one: float(one[1] @ one[1]))
     handed = 1.0 if turn == plain[0] else -1.0
-    found = judged(np.array([turn]), np.eye(1) / len(off), off, prior)
-    if found.scatter > 5.0 * prior.sd:
+    found = judged(np.array([turn]), np.eye(1) / len(off), off, PUSHED)
+    if found.scatter > 5.0 * PUSHED.sd:
         came = f"pushes {np.degrees(np.abs(off).max()):.0f} degrees off"
         raise InputError("pushes along the requested axes", came, "push along the arm's axes as shown")
     c, s = np.cos(turn), np.sin(turn)
     R = np.array([[c, -s * handed, 0.0], [s, c * handed, 0.0], [0.0, 0.0, signs[0]]])
-    return ForceMount(R, turn, float(found.half(LEVEL)[0]), found.sd, off)
-
-
-def _widest(angles: FloatArray) -> float:
-    """The largest angle between two of some lines [rad], at most a right one."""
-    between = np.abs(angles[:, None] - angles) % np.pi
-    return float(np.minimum(between, np.pi - between).max())
+    return ForceMount(R, turn, float(found.half()[0]), found.sd, off)
 
 
 def _turned(seen: FloatArray, aimed: FloatArray) -> tuple[float, FloatArray]:
@@ -111,20 +105,20 @@ class ForceGain:
     off: FloatArray
 
 
-def force_gain(force_n: FloatArray, load_n: float, *, prior: ErrorPrior = PRESSED) -> ForceGain:
+def force_gain(force_n: FloatArray, load_n: float) -> ForceGain:
     """The gain, from the forces (n, 3) [N] beyond free air that a sensor gave under a known load [N].
 
     Raises InputError for a load that is too small, and for forces outside a sensor's possible gain."""
-    felt_n = np.linalg.norm(np.asarray(force_n, np.float64), axis=1)
-    if not (load_n >= LEAST_LOAD_N and len(felt_n)):
+    measured_n = np.linalg.norm(np.asarray(force_n, np.float64), axis=1)
+    if not (load_n >= LEAST_LOAD_N and len(measured_n)):
         raise InputError(f"a load of {LEAST_LOAD_N:g} N or more", f"{load_n:g} N", "the set force of a touch, or more")
-    if not 0.5 * load_n < felt_n.mean() < 2.0 * load_n:
-        came = f"{felt_n.mean():.2f} N under {load_n:g} N"
+    if not 0.5 * load_n < measured_n.mean() < 2.0 * load_n:
+        came = f"{measured_n.mean():.2f} N under {load_n:g} N"
         raise InputError("a sensor whose gain is between 0.5 and 2", came, "the load in newtons: 102 g are 1 N")
-    mean_n = float(felt_n.mean())
-    found = judged(np.array([mean_n]), np.eye(1) / len(felt_n), felt_n - mean_n, prior)
+    mean_n = float(measured_n.mean())
+    found = judged(np.array([mean_n]), np.eye(1) / len(measured_n), measured_n - mean_n, PRESSED)
     sd = float(np.sqrt(found.covariance[0, 0]))
-    return ForceGain(mean_n / load_n, sd / load_n, float(found.half()[0]) / load_n, (felt_n - mean_n) / load_n)
+    return ForceGain(mean_n / load_n, sd / load_n, float(found.half()[0]) / load_n, (measured_n - mean_n) / load_n)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -174,24 +168,23 @@ class HangingWeight:
     off_n: FloatArray
 
 
-def hanging_weight(
-    force_n: FloatArray, R_base_tip: FloatArray, R_tip_force: FloatArray, *, prior: ErrorPrior = FREE
-) -> HangingWeight:
+def hanging_weight(force_n: FloatArray, R_base_tip: FloatArray, R_tip_force: FloatArray) -> HangingWeight:
     """The weight on the sensor, from mean readings (n, 3) [N] with the tip turned as R_base_tip (n, 3, 3).
 
     A load on the sensor pulls it as the tip pushes the world: f = b + R_tip_force^T R_base_tip^T w. Raises InputError
     for poses that are turned too little."""
-    felt = np.asarray(force_n, np.float64)
+    force = np.asarray(force_n, np.float64)
     turns = np.swapaxes(np.asarray(R_base_tip, np.float64) @ np.asarray(R_tip_force, np.float64), -1, -2)
-    if len(felt) < 3 or spread(turns) < LEAST_TURN:
-        came = f"{len(felt)} poses that are turned too little"
+    if len(force) < 3 or spread(turns) < LEAST_TURN:
+        came = f"{len(force)} poses that are turned too little"
         raise InputError("three poses or more, tilted by 20 degrees", came, "tilt the stick left, right and away")
     design = np.concatenate([np.broadcast_to(np.eye(3), turns.shape), turns], axis=2).reshape(-1, 6)
     inverse = np.linalg.inv(design.T @ design)
-    value = inverse @ (design.T @ felt.ravel())
-    found: LeastSquares = judged(value, inverse, design @ value - felt.ravel(), prior)
+    value = inverse @ (design.T @ force.ravel())
+    left_over = design @ value - force.ravel()
+    found = judged(value, inverse, left_over, FREE)
     weight_n = float(np.linalg.norm(value[3:]))
     down = value[3:] / max(weight_n, 1e-9)
     half = half_widths(np.atleast_2d(down @ found.covariance[3:, 3:] @ down), found.dof)
-    off_n = np.linalg.norm((design @ value - felt.ravel()).reshape(-1, 3), axis=1)
+    off_n = np.linalg.norm(left_over.reshape(-1, 3), axis=1)
     return HangingWeight(weight_n, float(half[0]), value[:3], down, off_n)

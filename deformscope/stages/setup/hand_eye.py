@@ -72,11 +72,21 @@ def hand_eye(T_base_ee: FloatArray, T_camera_board: FloatArray) -> HandEye:
             came = f"{far.sum()} of {len(A)} views off, by {off_mm[far].min():.0f} to {off_mm.max():.0f} mm"
             hint = "poses in m, of arm and board at the same moment, the board fixed to the arm's end"
         raise InputError("views that belong together", came, hint)
-    covariance = _jackknife(A, B, X, Y, WEIGHT)
-    dof = len(A) - 2.0
-    return HandEye(
-        TransformEstimate(X, covariance[:6, :6], dof), TransformEstimate(Y, covariance[6:, 6:], dof), left_over
-    )
+    J, r = _jacobian(A, B, X, Y) * WEIGHT[:, None], left_over * WEIGHT
+    normal = np.einsum("nij,nik->njk", J, J)
+    whole, pull = normal.sum(axis=0), np.einsum("nij,ni->nj", J, r)
+    # each view left out of the linear fit around the solution
+    without = [-np.linalg.solve(whole - one, pull.sum(axis=0) - by) for one, by in zip(normal, pull, strict=True)]
+    return jackknifed(X, Y, np.array(without), left_over)
+
+
+def jackknifed(T_arm_camera: FloatArray, T_ee_board: FloatArray, without: FloatArray, off: FloatArray) -> HandEye:
+    """Both poses (4, 4), with the covariance of their deviations (n, 12) when each of n views is left out (Efron 1982).
+    off: as in HandEye"""
+    apart = without - without.mean(axis=0)
+    covariance = (len(apart) - 1.0) / len(apart) * apart.T @ apart
+    camera = TransformEstimate(T_arm_camera, covariance[:6, :6], len(apart) - 2.0)
+    return HandEye(camera, TransformEstimate(T_ee_board, covariance[6:, 6:], len(apart) - 2.0), off)
 
 
 def _solved(A: FloatArray, B: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -189,19 +199,6 @@ def _cross(vectors: FloatArray) -> FloatArray:
     return made - np.swapaxes(made, -1, -2)
 
 
-def _jackknife(A: FloatArray, B: FloatArray, X: FloatArray, Y: FloatArray, weight: FloatArray) -> FloatArray:
-    """(12, 12) covariance of X and Y: each view left out of the linear fit around the solution (Efron 1982)."""
-    J = _jacobian(A, B, X, Y) * weight[:, None]
-    r = _off(A, B, X, Y) * weight
-    normal = np.einsum("nij,nik->njk", J, J)
-    whole, pull = normal.sum(axis=0), np.einsum("nij,ni->nj", J, r)
-    without = np.array(
-        [-np.linalg.solve(whole - one, pull.sum(axis=0) - by) for one, by in zip(normal, pull, strict=True)]
-    )
-    count = len(A)
-    return np.asarray((count - 1.0) / count * (without - without.mean(axis=0)).T @ (without - without.mean(axis=0)))
-
-
 def next_pose(T_base_ee: FloatArray) -> tuple[FloatArray, str]:
     """A pose (4, 4) of the arm's end whose turn adds most information to the poses (n, 4, 4) so far, and how to reach
     it.
@@ -212,22 +209,16 @@ def next_pose(T_base_ee: FloatArray) -> tuple[FloatArray, str]:
     turned = Rotation.from_matrix(poses[:, :3, :3])
     mean = turned.mean()
     turns = (mean.inv() * turned).as_rotvec()
-    best: tuple[float, int, float] | None = None
+    most, way, turned_by = 0.0, np.zeros(3), ""
     for axis in range(3):
         for angle_deg in TURNS_DEG:
-            more = np.zeros(3)
-            more[axis] = np.radians(angle_deg)
+            more = np.radians(angle_deg) * np.eye(3)[axis]
             with_it = np.vstack([turns, more])
             centred = with_it - with_it.mean(axis=0)
             gained = float(np.prod(np.linalg.eigvalsh(centred.T @ centred) + np.radians(3.0) ** 2))
-            if best is None or gained > best[0] * (1.0 + 1e-9):
-                best = gained, axis, angle_deg
-    assert best is not None
-    _, axis, angle_deg = best
-    way = np.zeros(3)
-    way[axis] = np.radians(angle_deg)
+            if gained > most * (1.0 + 1e-9):
+                most, way, turned_by = gained, more, f"{angle_deg:+.0f} degrees about its own {'xyz'[axis]} axis"
     T = rigid((mean * Rotation.from_rotvec(way)).as_matrix(), poses[:, :3, 3].mean(axis=0))
-    turned_by = f"{angle_deg:+.0f} degrees about its own {'xyz'[axis]} axis"
     return T, f"from the middle of the poses turn the arm's end by {turned_by}, the board in view"
 
 
@@ -240,7 +231,7 @@ class CameraFromTouches:
     sd_m: float
 
 
-def camera_from_touches(touched_m: FloatArray, seen_m: FloatArray, *, prior: ErrorPrior = TOUCHED) -> CameraFromTouches:
+def camera_from_touches(touched_m: FloatArray, seen_m: FloatArray) -> CameraFromTouches:
     """Pose of the fixed camera that sees places (n, 3) [camera frame] which the tip touched (n, 3) [base frame].
 
     Raises InputError for fewer than four, or places in one line."""
@@ -256,9 +247,9 @@ def camera_from_touches(touched_m: FloatArray, seen_m: FloatArray, *, prior: Err
         T = moved(start, values)
         return seen @ T[:3, :3].T + T[:3, 3] - touched
 
-    found = fitted(lambda values: off_m(values).ravel(), np.zeros(6), prior)
+    found = fitted(lambda values: off_m(values).ravel(), np.zeros(6), TOUCHED)
     far_m = np.linalg.norm(off_m(found.value), axis=1)
-    if found.scatter > 10.0 * prior.sd:
+    if found.scatter > 10.0 * TOUCHED.sd:
         came = f"place {int(np.argmax(far_m)) + 1} off by {1e3 * far_m.max():.0f} mm"
         raise InputError("places that belong together", came, "touch the marked places, in the same order")
     return CameraFromTouches(transform_of(found, start), far_m, found.sd)

@@ -12,7 +12,7 @@ import scipy
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.stages.setup.transform import LEVEL, ErrorPrior, TransformEstimate, fitted, moved, rigid, transform_of
+from deformscope.stages.setup.transform import ErrorPrior, TransformEstimate, fitted, moved, rigid, transform_of
 
 CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
 """Corners of the rectangle, in the order of the requests: origin, end of x, end of y, the far one."""
@@ -51,7 +51,6 @@ def place(
     up: npt.ArrayLike = (0.0, 0.0, 1.0),
     *,
     tip_sd_m: float = 0.0,
-    prior: ErrorPrior = TOUCHED,
 ) -> PlaceEstimate:
     """The rectangle whose corners were touched, each once or more often.
 
@@ -88,25 +87,17 @@ def place(
         on_it = np.column_stack([shares * (values[6:] + sides_m), np.full(len(shares), tip_radius_m)])
         return np.asarray(on_it @ T[:3, :3].T + T[:3, 3] - touched)
 
-    found = fitted(lambda values: off_m(values).ravel(), np.zeros(8), prior)
+    found = fitted(lambda values: off_m(values).ravel(), np.zeros(8), TOUCHED)
     left_over = off_m(found.value)
     count = left_over.size - 8
-    chance = float(scipy.stats.f.sf(found.scatter**2 / prior.sd**2, count, prior.weight)) if prior.weight else 1.0
-    if chance < UNLIKELY:
+    if scipy.stats.f.sf(found.scatter**2 / TOUCHED.sd**2, count, TOUCHED.weight) < UNLIKELY:
         angle_deg = np.degrees(np.arccos(cosine))
         came = f"corners up to {1e3 * np.linalg.norm(left_over, axis=1).max():.0f} mm off one; {angle_deg:.1f} degrees"
         raise InputError("corners of a rectangle", came, "touch the corners again, one by one")
     size_m = found.value[6:] + sides_m
     T = transform_of(found, start)
     T.covariance[:3, :3] += tip_sd_m**2 * np.eye(3)
-    low_m, high_m = _box(T.T, size_m)
-    distances = np.linalg.norm(left_over, axis=1)
-    return PlaceEstimate(T, size_m, found.half(LEVEL)[6:], low_m, high_m, found.sd, distances)
-
-
-def _box(T_arm_surface: FloatArray, size_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Lowest and highest (3,) of the corners of the room above the rectangle."""
     sides = [(-AROUND_M, size_m[0] + AROUND_M), (-AROUND_M, size_m[1] + AROUND_M), (0.0, ABOVE_M)]
-    room_m = np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 3)
-    inside = room_m @ T_arm_surface[:3, :3].T + T_arm_surface[:3, 3]
-    return inside.min(axis=0), inside.max(axis=0)
+    room_m = np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 3) @ T.T[:3, :3].T + T.T[:3, 3]
+    distances = np.linalg.norm(left_over, axis=1)
+    return PlaceEstimate(T, size_m, found.half()[6:], room_m.min(axis=0), room_m.max(axis=0), found.sd, distances)

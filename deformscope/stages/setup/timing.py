@@ -38,9 +38,7 @@ class TimeOffset:
     density: FloatArray
 
 
-def time_offset(
-    x_time_s: FloatArray, x: FloatArray, y_time_s: FloatArray, y: FloatArray, *, reach_s: float = REACH_S
-) -> TimeOffset:
+def time_offset(x_time_s: FloatArray, x: FloatArray, y_time_s: FloatArray, y: FloatArray) -> TimeOffset:
     """The offset between a dense signal x (n,) and another y (m,) at their times [s], each by its own clock.
 
     Raises InputError for signals without a tap, that do not go together, or whose offset is at the end of the reach."""
@@ -49,31 +47,35 @@ def time_offset(
             raise InputError(f"20 readings or more of the {name} signal", str(len(signal)))
         if (peak := _peak(signal)) < LEAST_PEAK:
             came = f"{peak:.1f} deviations of it at rest"
-            raise InputError(
-                f"a tap that appears in the {name} signal as a peak", came, "tap harder, with rest between taps"
-            )
-    inside = (y_time_s > x_time_s[0] + reach_s) & (y_time_s < x_time_s[-1] - reach_s)
+            wanted = f"a tap that appears in the {name} signal as a peak"
+            raise InputError(wanted, came, "tap harder, with rest between taps")
+    inside = (y_time_s > x_time_s[0] + REACH_S) & (y_time_s < x_time_s[-1] - REACH_S)
     when, seen = np.asarray(y_time_s)[inside], np.asarray(y, np.float64)[inside]
     if len(when) < 20:
-        raise InputError(f"{2 * reach_s + 1:g} s that both signals have", f"{np.ptp(when) if len(when) else 0.0:.1f} s")
-    coarse = np.arange(-reach_s, reach_s + 0.5 * COARSE_S, COARSE_S)
+        raise InputError(f"{2 * REACH_S + 1:g} s that both signals have", f"{np.ptp(when) if len(when) else 0.0:.1f} s")
+    coarse = np.arange(-REACH_S, REACH_S + 0.5 * COARSE_S, COARSE_S)
     shares = _explained(when, seen, coarse, x_time_s, x)
     best = int(np.argmax(shares))
     if shares[best] < LEAST_SHARE:
         came = f"{100 * shares[best]:.0f} % of the second explained by the first"
         raise InputError(f"{100 * LEAST_SHARE:g} % or more", came, "signals that a tap moves alike; one tap a second")
     if best in (0, len(coarse) - 1):
-        raise InputError(f"an offset within {reach_s:g} s", "one at the end of that", "clocks that are set")
+        raise InputError(f"an offset within {REACH_S:g} s", "one at the end of that", "clocks that are set")
     others = np.abs(coarse - coarse[best]) > NEAR_S
     if others.any() and shares[others].max() > shares[best] - 0.25 * (1.0 - LEAST_SHARE):
-        came = (
-            f"another {coarse[others][np.argmax(shares[others])] - coarse[best]:+.2f} s from it that fits equally well"
-        )
+        away_s = coarse[others][np.argmax(shares[others])] - coarse[best]
+        came = f"another {away_s:+.2f} s from it that fits equally well"
         raise InputError("one offset that fits", came, "taps at uneven times")
     offsets = coarse[best] + np.arange(-FINE_S, FINE_S + 0.5 * STEP_S, STEP_S)
     left = 1.0 - _explained(when, seen, offsets, x_time_s, x)
     best = int(np.argmin(left))
-    count = _independent(when, seen, offsets[best], x_time_s, x)
+    # The effective number of independent residuals, by the correlation of neighbours.
+    model = np.interp(when - offsets[best], x_time_s, x)
+    design = np.column_stack([model, np.ones(len(model))])
+    left_over = seen - design @ np.linalg.lstsq(design, seen, rcond=None)[0]
+    alike = float(left_over[1:] @ left_over[:-1]) / max(float(left_over @ left_over), 1e-300)
+    alike = min(max(alike, 0.0), 0.99)
+    count = len(seen) * (1.0 - alike) / (1.0 + alike)
     log = -0.5 * max(count - 2.0, 1.0) * np.log(left / left[best])
     density = np.exp(log - log.max())
     density /= density.sum() * STEP_S
@@ -101,13 +103,3 @@ def _peak(signal: FloatArray) -> float:
     off = np.abs(np.asarray(signal, np.float64) - np.median(signal))
     rest = 1.4826 * float(np.median(off))
     return float(off.max()) / max(rest, 1e-12 * float(off.max()) + 1e-300)
-
-
-def _independent(when: FloatArray, seen: FloatArray, offset: float, x_time_s: FloatArray, x: FloatArray) -> float:
-    """Effective number of independent residuals, by the correlation of neighbours."""
-    model = np.interp(when - offset, x_time_s, x)
-    design = np.column_stack([model, np.ones(len(model))])
-    left_over = seen - design @ np.linalg.lstsq(design, seen, rcond=None)[0]
-    alike = float(left_over[1:] @ left_over[:-1]) / max(float(left_over @ left_over), 1e-300)
-    alike = min(max(alike, 0.0), 0.99)
-    return len(seen) * (1.0 - alike) / (1.0 + alike)

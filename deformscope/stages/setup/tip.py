@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
@@ -46,7 +47,7 @@ def spread(rotations: FloatArray) -> float:
     return float(np.linalg.svd(centred.reshape(-1, 3), compute_uv=False)[-1] / np.sqrt(len(rotations)))
 
 
-def pivot(T_base_ee: FloatArray, *, prior: ErrorPrior = PIVOTED) -> TipEstimate:
+def pivot(T_base_ee: FloatArray) -> TipEstimate:
     """The tip about which the arm's end (n, 4, 4) was turned.
 
     A pivot does not determine the stick's direction: it is assumed to run from the arm's end to the tip. Its interval
@@ -66,28 +67,21 @@ def pivot(T_base_ee: FloatArray, *, prior: ErrorPrior = PIVOTED) -> TipEstimate:
     inverse = np.linalg.inv(design.T @ design)
     solution = inverse @ (design.T @ -poses[:, :3, 3].ravel())
     left_over = design @ solution + poses[:, :3, 3].ravel()
-    found = judged(solution, inverse, left_over, prior)
+    found = judged(solution, inverse, left_over, PIVOTED)
     if found.scatter > SLID_M:
         came = f"one that scatters by {1e3 * found.scatter:.1f} mm"
         raise InputError("a ball that stays in its place", came, "a cone or a ring that holds it, and slower motion")
     tip_m = solution[:3]
-    direction, doubt_rad = _direction(tip_m)
-    covariance = np.zeros((6, 6))
-    covariance[:3, :3] = found.covariance[:3, :3]
     length_m = float(np.linalg.norm(tip_m))
-    turned = (DOUBT_SHARE * doubt_rad) ** 2 + np.trace(found.covariance[:3, :3]) / length_m**2
-    covariance[3:, 3:] = turned * np.eye(3)
-    estimate = TransformEstimate(rigid(direction, tip_m), covariance, found.dof)
-    off_m = np.linalg.norm(left_over.reshape(-1, 3), axis=1)
-    return TipEstimate(estimate, solution[3:], found.sd, off_m)
-
-
-def _direction(tip_m: FloatArray) -> tuple[FloatArray, float]:
-    """(3, 3) of the tip's frame with z from the arm's end to the tip, and the angle to the end's own z axis [rad]."""
-    z = tip_m / np.linalg.norm(tip_m)
+    z = tip_m / length_m
     x = np.array([1.0, 0.0, 0.0]) - z[0] * z
     if np.linalg.norm(x) < 0.1:
         came = f"a tip at {tip_m.round(3).tolist()} m"
         raise InputError("a stick that is not along the x axis of the arm's end", came)
     x /= np.linalg.norm(x)
-    return np.column_stack([x, np.cross(z, x), z]), float(np.arccos(np.clip(z[2], -1.0, 1.0)))
+    doubt_rad = float(np.arccos(np.clip(z[2], -1.0, 1.0)))
+    turned = (DOUBT_SHARE * doubt_rad) ** 2 + np.trace(found.covariance[:3, :3]) / length_m**2
+    covariance = scipy.linalg.block_diag(found.covariance[:3, :3], turned * np.eye(3))
+    estimate = TransformEstimate(rigid(np.column_stack([x, np.cross(z, x), z]), tip_m), covariance, found.dof)
+    off_m = np.linalg.norm(left_over.reshape(-1, 3), axis=1)
+    return TipEstimate(estimate, solution[3:], found.sd, off_m)

@@ -48,9 +48,9 @@ class LeastSquares:
     sd: float
     scatter: float
 
-    def half(self, level: float = LEVEL) -> FloatArray:
+    def half(self) -> FloatArray:
         """(p,) half widths of the intervals."""
-        return half_widths(self.covariance, self.dof, level)
+        return half_widths(self.covariance, self.dof)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,24 +64,18 @@ class TransformEstimate:
     covariance: FloatArray
     dof: float
 
-    def half(self, level: float = LEVEL) -> FloatArray:
+    def half(self) -> FloatArray:
         """(6,) half widths of the intervals: three of the translation [m], three of the turn [rad]."""
-        return half_widths(self.covariance, self.dof, level)
+        return half_widths(self.covariance, self.dof)
 
     def deviation(self, T: FloatArray) -> FloatArray:
         """(6,) of another transform from this one [m, rad]."""
         return deviation(self.T, T)
 
-    def holds(self, T: FloatArray, level: float = LEVEL) -> bool:
-        """Whether the region of this level, an ellipsoid over all six together, holds another transform (4, 4)."""
-        off = self.deviation(T)
-        squared = float(off @ np.linalg.solve(self.covariance, off)) / len(off)
-        return squared <= float(scipy.stats.f.ppf(level, len(off), self.dof))
 
-
-def half_widths(covariance: FloatArray, dof: float, level: float = LEVEL) -> FloatArray:
+def half_widths(covariance: FloatArray, dof: float) -> FloatArray:
     """(p,) of the intervals of Student's t."""
-    return np.asarray(scipy.stats.t.ppf(0.5 + 0.5 * level, dof) * np.sqrt(np.diag(covariance)))
+    return np.asarray(scipy.stats.t.ppf(0.5 + 0.5 * LEVEL, dof) * np.sqrt(np.diag(covariance)))
 
 
 def moved(T: FloatArray, deviation: npt.ArrayLike) -> FloatArray:
@@ -134,10 +128,9 @@ def judged(value: FloatArray, inverse: FloatArray, left_over: FloatArray, prior:
     return LeastSquares(value, variance * inverse, dof, float(np.sqrt(variance)), scatter)
 
 
-def transform_of(found: LeastSquares, T_start: FloatArray, first: int = 0) -> TransformEstimate:
-    """The transform whose deviation from T_start (4, 4) is six of a fit's values, from the first on.
+def transform_of(found: LeastSquares, T_start: FloatArray) -> TransformEstimate:
+    """The transform whose deviation from T_start (4, 4) is a fit's first six values.
 
     The covariance is of a deviation from the estimate: for the small turns that a fit ends with, those of its values.
     """
-    part = slice(first, first + 6)
-    return TransformEstimate(moved(T_start, found.value[part]), found.covariance[part, part], found.dof)
+    return TransformEstimate(moved(T_start, found.value[:6]), found.covariance[:6, :6], found.dof)

@@ -139,7 +139,7 @@ def test_the_interval_of_an_offset_holds_it_in_nine_of_ten() -> None:
     hits = 0
     for _ in range(DRAWS):
         offset_s = random.uniform(-0.1, 0.1)
-        found = time_offset(*signals(offset_s, random), reach_s=0.15)
+        found = time_offset(*signals(offset_s, random))
         hits += found.low_s <= offset_s <= found.high_s
     assert AT_LEAST <= hits <= AT_MOST
 

@@ -9,6 +9,7 @@ from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.setup.hand_eye import TOUCHED, camera_from_touches, hand_eye, next_pose, turned_about
 from deformscope.stages.setup.transform import moved, rigid
+from tests.stages.setup.region import region_holds
 
 DRAWS = 200
 AT_LEAST, AT_MOST = (int(binom.ppf(share, DRAWS, 0.9)) for share in (1e-4, 1.0 - 1e-4))
@@ -152,7 +153,7 @@ def test_the_intervals_from_touches_hold_the_camera_in_nine_of_ten() -> None:
         off_m = touched_m + sd_m * random.standard_normal((6, 3))
         found = camera_from_touches(touched_m, (off_m - X[:3, 3]) @ X[:3, :3]).T_arm_camera
         hits += np.abs(found.deviation(X)) <= found.half()
-        regions += found.holds(X)
+        regions += region_holds(found, X)
     assert ((hits >= AT_LEAST) & (hits <= AT_MOST)).all(), hits
     assert AT_LEAST <= regions <= AT_MOST
 

@@ -10,6 +10,7 @@ from deformscope.errors import InputError
 from deformscope.stages.setup.place import CORNERS, TOUCHED, place
 from deformscope.stages.setup.tip import PIVOTED, pivot
 from deformscope.stages.setup.transform import ErrorPrior, TransformEstimate, deviation, moved, rigid
+from tests.stages.setup.region import region_holds
 
 DRAWS = 200
 RADIUS_M = 0.01
@@ -65,7 +66,7 @@ def test_the_intervals_of_a_table_hold_it_in_nine_of_ten() -> None:
         found = place(touched(T, which, drawn_sd(random, TOUCHED), random), which, RADIUS_M)
         hits += held(found.T_arm_surface, T)
         sizes += np.abs(found.size_m - SIZE_M) <= found.size_half_m
-        regions += found.T_arm_surface.holds(T)
+        regions += region_holds(found.T_arm_surface, T)
     for count in (*hits, *sizes, regions):
         assert AT_LEAST <= count <= AT_MOST
 
