@@ -16,7 +16,7 @@ from deformscope.stages.fit.calibrate import Calibration
 from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.fit.residuals import Explanation
 from deformscope.stages.msm.solver import Msm
-from deformscope.stages.poke.mixture import quantile
+from deformscope.stages.poke.stiffness_field import quantile
 
 VALUES = 15
 """Values of the parameter that stand for its posterior, each of equal probability."""

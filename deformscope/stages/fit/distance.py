@@ -11,16 +11,14 @@ from deformscope.arrays import BoolArray, FloatArray
 
 
 def distances(simulated: FloatArray, observed: FloatArray) -> FloatArray:
-    """Euclidean distance of each particle from its observed place: (..., K, d) and (K, d) give (..., K).
-
-    Their mean is the average Euclidean error (AEE) of Thesis eq. 3.18 and 3.19."""
+    """Euclidean distance of each particle from its observed place: (..., K, d) and (K, d) give (..., K). Their mean is
+    the average Euclidean error (AEE) of Thesis eq. 3.18 and 3.19."""
     return np.asarray(np.sqrt(np.sum((simulated - observed) ** 2, axis=-1)))
 
 
 def nearest_error(simulated: FloatArray, observed: FloatArray) -> float:
-    """Mean distance from each simulated point (n, d) to the nearest observed one (m, d) (Thesis eq. 4.6).
-
-    One-sided: observed points that no simulated point comes near do not count."""
+    """Mean distance from each simulated point (n, d) to the nearest observed one (m, d) (Thesis eq. 4.6). One-sided:
+    observed points that no simulated point comes near do not count."""
     distance, _ = cKDTree(observed).query(simulated)
     return float(np.mean(distance))
 

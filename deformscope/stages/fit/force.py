@@ -30,9 +30,8 @@ class Stiffness:
 
 
 def contact_stiffness(seen: Sequence[Observation], level: float) -> tuple[float, tuple[float, float]] | None:
-    """Secant stiffness at the contact [N/mm], of all observations with a force; None without one.
-
-    It is the force over the mean displacement of the contact's particles, with the noise of both."""
+    """Secant stiffness at the contact [N/mm], of all observations with a force; None without one. It is the force over
+    the mean displacement of the contact's particles, with the noise of both."""
     rows = []
     for s in seen:
         if s.force_n is None or s.metres_per_unit is None or not len(s.touched):

@@ -48,9 +48,8 @@ class HeldOut:
 
 
 def blocks_of(rest: FloatArray, spacing: float, window: float) -> tuple[IntArray, IntArray]:
-    """Block and fold (K,) of each particle; window: how far the flow's errors reach [unit of rest].
-
-    A fold's blocks are spread out: with K folds, block (i, j) goes to fold (i + 2 j) mod K, a knight's move apart."""
+    """Block and fold (K,) of each particle; window: how far the flow's errors reach [unit of rest]. A fold's blocks are
+    spread out: with K folds, block (i, j) goes to fold (i + 2 j) mod K, a knight's move apart."""
     side = min(max(BLOCK * spacing, window), float(np.ptp(rest, axis=0).max()) / BLOCKS_ACROSS)
     block = patches(rest, side)
     middle = np.array([rest[block == one].mean(axis=0) for one in range(int(block.max()) + 1)])

@@ -173,9 +173,8 @@ class Inference:
 
 
 def misfit_outweighs(parts: Sequence[Residuals]) -> bool:
-    """Whether the residuals are misfit of the model rather than noise, by how likely each explanation is.
-
-    Errors that neighbours share count as misfit, not noise, if they contradict the stated noise, or without one."""
+    """Whether the residuals are misfit of the model rather than noise, by how likely each explanation is. Errors that
+    neighbours share count as misfit, not noise, if they contradict the stated noise, or without one."""
     misfit, white = 0.0, 0.0
     for part in parts:
         one, noise = part.explanation, float(np.mean(part.errors.noise**2))

@@ -108,9 +108,8 @@ class Noise:
         return self.shared * self.deviation**2 + held
 
     def covariance(self, jacobian: FloatArray) -> FloatArray:
-        """Covariance (m, m) of a least squares estimate with these derivatives (n, m).
-
-        A parameter, or a combination, without effect on the observed numbers has a very large variance."""
+        """Covariance (m, m) of a least squares estimate with these derivatives (n, m). A parameter, or a combination,
+        without effect on the observed numbers has a very large variance."""
         size = np.linalg.norm(jacobian, axis=0)
         size = np.maximum(size, NOTHING * size.max(initial=0.0)) if size.any() else np.ones_like(size)
         across, strength, along = np.linalg.svd(jacobian / size, full_matrices=False)

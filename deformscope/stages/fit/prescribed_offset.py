@@ -46,9 +46,8 @@ EFFECT = 0.02
 
 
 def correct_held(search: Search, candidates: int, seed: int) -> tuple[IntArray, ...]:
-    """Find the wrong held particles, place them where the free particles show them to be, and search again.
-
-    Gives their indices (n,) by observation; their positions in `search.seen` are the estimated ones, not observed."""
+    """Find the wrong held particles, place them where the free particles show them to be, and search again. Gives their
+    indices (n,) by observation; their positions in `search.seen` are the estimated ones, not observed."""
     off = [np.zeros(len(one.held), dtype=bool) for one in search.seen]
     for _ in range(ROUNDS):
         inference = Inference(search, seed)

@@ -341,9 +341,8 @@ class InclusionState:
 
 
 class InclusionPosterior:
-    """Posterior of inclusions given touches of a surface; each touch makes a new posterior.
-
-    touches; found: inclusions, in the order in which they explain most; state: state of the remaining part"""
+    """Posterior of inclusions given touches of a surface; each touch makes a new posterior. touches; found: inclusions,
+    in the order in which they explain most; state: state of the remaining part"""
 
     def __init__(self, grid: MapGrid, prior: InclusionPrior, touches: tuple[StiffnessSample, ...] = ()) -> None:
         self.grid, self.prior, self.touches = grid, prior, touches

@@ -212,10 +212,8 @@ def plan_touch(
 
 
 def information(hypotheses: RegionHypotheses, touches: RelatedTouches, blur_m: float) -> FloatArray:
-    """(p,) mutual information of touches and the surface [nat].
-
-    It is the entropy of the reading over all hypotheses less that under each (Lindley 1956), computed in bins, which
-    make it slightly smaller."""
+    """(p,) mutual information of touches and the surface [nat]. It is the entropy of the reading over all hypotheses
+    less that under each (Lindley 1956), computed in bins, which make it slightly smaller."""
     chance, weight = _outcomes(hypotheses, touches, blur_m, OUTCOMES)
     together = np.tensordot(chance, weight, axes=(1, 0))
     entropy = -xlogy(together, together).sum(axis=0)

@@ -4,8 +4,11 @@
     heights = surface.on(MapGrid((0.6, 0.4)))            # mean and deviation on cells of 0.5 cm
     normals = surface.normals(places_m)                  # (m, 3), with the slopes' deviation in surface.slopes
 
-Every point counts: the hyper-parameters are those of the marginal likelihood of all points. The regression uses
-inducing points on a lattice (Titsias 2009) that resolve all that a map shows.
+Every point counts: the hyper-parameters are those of the marginal likelihood of all points. The regression is sparse,
+with inducing points on a lattice that resolve all that a map shows (SGPR; Titsias 2009). The kernel is a product over x
+and y, and so are the lattice's functions: features of a place are products of features of x and of y. Points of the
+lattice without new information (closer than the kernel resolves, within rounding) are left out by the eigenvalues of
+each axis's covariances.
 """
 
 from __future__ import annotations
@@ -13,15 +16,123 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import cho_solve, cholesky, solve_triangular
 from threadpoolctl import threadpool_limits
 
-from deformscope.arrays import BoolArray, FloatArray
+from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.stages.gaussian_process import Kernel, ProcessPrediction
+from deformscope.stages.gaussian_process import Kernel, ProcessPrediction, correlation
 from deformscope.stages.map.marginal_likelihood import Observations, learn
 from deformscope.stages.map.perception import Hyperparameters
-from deformscope.stages.map.sparse_process import SPACING, SparseProcess
 from deformscope.stages.regions.touches import MapGrid
+
+SPACING = 0.45
+"""Distance of inducing points in lengths of the kernel: between them the prior's variance is short by 1e-8."""
+
+BEYOND = 2
+"""Number of inducing points beyond the box on each side: the variance at the edge is then as accurate as inside."""
+
+LEAST_EIGENVALUE = 1e-11
+"""Directions of less prior variance than this share of the largest are left out."""
+
+CHUNK = 2048
+"""Number of places that are computed at once: it bounds the memory."""
+
+
+class Axis:
+    """Features of one coordinate: (n, r), whose products sum up to the kernel of deviation 1."""
+
+    def __init__(self, low: float, high: float, length: float) -> None:
+        spacing = SPACING * length
+        steps = max(1, int(np.ceil((high - low) / spacing)))
+        start = 0.5 * (low + high) - 0.5 * steps * spacing
+        self.nodes = start + spacing * np.arange(-BEYOND, steps + BEYOND + 1)
+        self.length = length
+        eigenvalue, vector = np.linalg.eigh(self._kernel(self.nodes))
+        informed = eigenvalue > LEAST_EIGENVALUE * eigenvalue[-1]
+        self.eigenvalue: FloatArray = eigenvalue[informed][::-1]
+        self._onto = vector[:, informed][:, ::-1] / np.sqrt(self.eigenvalue)
+
+    def _kernel(self, x: FloatArray) -> FloatArray:
+        """(n, nodes) correlation of coordinates (n,) with the inducing nodes of an axis [m]."""
+        return correlation("gaussian", (x[:, None] - self.nodes) / self.length)
+
+    def features(self, x: FloatArray) -> FloatArray:
+        """(n, r) at coordinates (n,)."""
+        return np.asarray(self._kernel(x) @ self._onto)
+
+    def slopes(self, x: FloatArray) -> FloatArray:
+        """(n, r) derivatives of the features by x [1/m]."""
+        away = (self.nodes - x[:, None]) / self.length**2
+        return np.asarray((away * self._kernel(x)) @ self._onto)
+
+
+class SparseProcess:
+    """A process conditioned on n points through inducing points.
+
+    places: (n, 2) [m]; value: (n,) above the mean; noise: (n,) its deviation at each point
+    low, high: (2,) the box [m] within which it will be evaluated; elbo: lower bound of the log marginal likelihood,
+    equal to it where the inducing points suffice"""
+
+    def __init__(
+        self,
+        kernel: Kernel,
+        places: FloatArray,
+        value: FloatArray,
+        noise: FloatArray,
+        low: FloatArray,
+        high: FloatArray,
+    ) -> None:
+        self.kernel = kernel
+        self.axes = [Axis(float(low[d]), float(high[d]), kernel.length_m) for d in range(2)]
+        first, second = (axis.eigenvalue / axis.eigenvalue[0] for axis in self.axes)
+        # (m, 2) the products of features whose variance counts
+        self._pairs: IntArray = np.argwhere(np.outer(first, second) > LEAST_EIGENVALUE)
+        size = len(self._pairs)
+        inner, onto, missing = np.eye(size), np.zeros(size), 0.0
+        for start in range(0, len(value), CHUNK):
+            some = slice(start, start + CHUNK)
+            feature = self._features(places[some])
+            missing += float(np.sum((kernel.sigma_e**2 - np.sum(feature**2, axis=1)).clip(0.0) / noise[some] ** 2))
+            feature /= noise[some, None]
+            inner += feature.T @ feature
+            onto += feature.T @ (value[some] / noise[some])
+        self._factor = cholesky(inner, lower=True, overwrite_a=True, check_finite=False)
+        self._weight = cho_solve((self._factor, True), onto, check_finite=False)
+        square = float(np.sum((value / noise) ** 2)) - float(onto @ self._weight)
+        logs = 2.0 * np.log(np.diag(self._factor)).sum() + 2.0 * np.log(noise).sum() + len(value) * np.log(2.0 * np.pi)
+        self.elbo = float(-0.5 * (square + logs + missing))
+
+    def at(self, places: FloatArray) -> ProcessPrediction:
+        """Mean above the prior's and deviation at places (m, 2)."""
+        mean, variance = self._believe(places, (False, False), self.kernel.sigma_e**2)
+        return ProcessPrediction(mean, np.sqrt(variance))
+
+    def slopes(self, places: FloatArray) -> ProcessPrediction:
+        """Mean and deviation (m, 2) of the slopes along x and y at places (m, 2)."""
+        prior = (self.kernel.sigma_e / self.kernel.length_m) ** 2
+        found = [self._believe(places, along, prior) for along in ((True, False), (False, True))]
+        mean, variance = (np.column_stack(one) for one in zip(*found, strict=True))
+        return ProcessPrediction(mean, np.sqrt(variance))
+
+    def _believe(self, places: FloatArray, slope: tuple[bool, bool], prior: float) -> tuple[FloatArray, FloatArray]:
+        """Mean and variance (m,) of the process, or of its slope along one axis."""
+        mean, variance = np.empty(len(places)), np.empty(len(places))
+        for start in range(0, len(places), CHUNK):
+            some = slice(start, start + CHUNK)
+            feature = self._features(places[some], slope)
+            mean[some] = feature @ self._weight
+            whitened = solve_triangular(self._factor, feature.T, lower=True, check_finite=False)
+            variance[some] = (prior - np.sum(feature**2, axis=1)).clip(0.0) + np.sum(whitened**2, axis=0)
+        return mean, variance
+
+    def _features(self, places: FloatArray, slope: tuple[bool, bool] = (False, False)) -> FloatArray:
+        """(n, features) features of places (n, 2) [m], or their slopes along the axes where `slope` is true [1/m]."""
+        x, y = (
+            axis.slopes(places[:, d]) if slope[d] else axis.features(places[:, d]) for d, axis in enumerate(self.axes)
+        )
+        return np.asarray(self.kernel.sigma_e * x[:, self._pairs[:, 0]] * y[:, self._pairs[:, 1]])
+
 
 FEWEST = 3
 

@@ -15,7 +15,6 @@ from deformscope.stages.fit.estimate import relative_verdict
 from deformscope.stages.fit.least_squares import Minimum, Noise
 from deformscope.stages.fit.motion import Motion
 from deformscope.stages.fit.search import Progress
-from deformscope.stages.materials.yield_doubts import yield_doubts
 from deformscope.stages.materials.yield_estimate import Parameter, YieldEstimate
 from deformscope.stages.materials.yield_evidence import (
     excess_over,
@@ -25,6 +24,7 @@ from deformscope.stages.materials.yield_evidence import (
     shared_errors,
     strain_grid,
     strain_profile,
+    yield_doubts,
 )
 from deformscope.stages.materials.yield_history import SETTLED, YieldHistories, YieldOptions
 from deformscope.stages.materials.yield_search import (

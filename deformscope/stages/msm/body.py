@@ -176,9 +176,8 @@ class Operator(ABC):
 
     @abstractmethod
     def cluster_gradient(self, adjoint: Field) -> FloatArray:
-        """(B, C) sum over each cluster's particles of m_i <adjoint_i, d goal_i / d beta_c>.
-
-        The derivative of the goals by beta is the last output of `residual`."""
+        """(B, C) sum over each cluster's particles of m_i <adjoint_i, d goal_i / d beta_c>. The derivative of the goals
+        by beta is the last output of `residual`."""
 
 
 class Body(ABC):

@@ -207,9 +207,8 @@ class Iteration:
 
 
 class Newton(Iteration):
-    """Newton's steps on the energy, each solved by conjugate gradients; without eq. 3.17.
-
-    Large lattices are preconditioned (`multigrid`)."""
+    """Newton's steps on the energy, each solved by conjugate gradients; without eq. 3.17. Large lattices are
+    preconditioned (`multigrid`)."""
 
     def __init__(self, body: Body, rest: BodyRest, size: int, volume: int) -> None:
         super().__init__(body, rest, size, volume, aided=True)

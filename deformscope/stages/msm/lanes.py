@@ -45,10 +45,8 @@ Ints, Doubles = wp.array(dtype=int), wp.array(dtype=wp.float64)
 
 
 def module_options(scalar: Any) -> dict[str, Any]:
-    """Options of a module of lanes.
-
-    On a GPU divisions and roots of float32 have an error in the last digit. They are far quicker, and the error does
-    not affect Newton's steps."""
+    """Options of a module of lanes. On a GPU divisions and roots of float32 have an error in the last digit. They are
+    far quicker, and the error does not affect Newton's steps."""
     return {
         "enable_backward": False,
         "max_unroll": 3,

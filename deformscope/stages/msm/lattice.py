@@ -105,9 +105,8 @@ class LatticeBody(Body):
         return _LatticeArrays(self, width)
 
     def moments(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Mass (n,), mean offset [cells] (n, 3) and second moments about it [spacings^2] (n, d, d) of the windows.
-
-        One row if all clusters are equal, else one for each cell (0 where no cluster is)."""
+        """Mass (n,), mean offset [cells] (n, 3) and second moments about it [spacings^2] (n, d, d) of the windows. One
+        row if all clusters are equal, else one for each cell (0 where no cluster is)."""
         if self.alike:
             mass, chosen = np.full(self.window, self.rest.mass[0]), np.ones_like(self.corner[:1, :1, :1])
         else:

@@ -154,13 +154,9 @@ class OneCluster:
         n, d = len(self.held), self.dim
         position = np.asarray(held_position, dtype=np.float64).reshape(-1 if n else 1, n, d)
         mean = self._mean_weights @ position if n else self._rest_mean[None]
-        moments = self._weights.T @ (position - mean[:, None])
-        return HeldMoments(position, np.concatenate([self._packed(moments), mean], axis=1))
-
-    def _packed(self, moments: FloatArray) -> FloatArray:
-        """(B, terms + d, d) as a row: by modes, then H J^T."""
-        last = moments[:, self.terms :].transpose(0, 2, 1)
-        return np.concatenate([moments[:, : self.terms], last], axis=1).reshape(len(moments), -1)
+        moments = self._weights.T @ (position - mean[:, None])  # (B, terms + d, d): by modes, then H J^T
+        moments[:, self.terms :] = moments[:, self.terms :].transpose(0, 2, 1).copy()
+        return HeldMoments(position, np.concatenate([moments.reshape(len(moments), -1), mean], axis=1))
 
     def relax(
         self,
@@ -181,13 +177,18 @@ class OneCluster:
 
         beta, theta: a number or (B,); start: positions (K, d) or (B, K, d) [m], default rest; tolerance: tolerance of
         `residual` and `error`, as a share of the cluster's radius, at least `SMALLEST_TOLERANCE`"""
-        size = max(
-            np.size(beta), np.size(theta), len(held.moments), 1 if start is None else start.size // self.rest.size
-        )
+        starts = 1 if start is None else start.size // self.rest.size
+        size = max(np.size(beta), np.size(theta), len(held.moments), starts)
         tolerance = max(tolerance, SMALLEST_TOLERANCE)
         work = self._filled(size, held, beta, theta, tolerance, max_iterations, volume)
         if start is not None:
-            self._begin_at(np.asarray(start, dtype=np.float64).reshape(-1, *self.rest.shape), work)
+            begin = np.asarray(start, dtype=np.float64).reshape(-1, *self.rest.shape)
+            mean = self._mass @ begin
+            fit = (self._fit_weights.T @ (begin - mean[:, None])).transpose(0, 2, 1)
+            work.row[:, k.STARTED] = True
+            work.start[:] = fit.reshape(len(begin), -1)
+            if not len(self.held):
+                work.held[:, -self.dim :] = mean  # nothing else says where the body is
         result = work.run("relax")
         state = result[:, k.STATE]
         split = k.TRANSFORM + self.dim * self.terms
@@ -217,7 +218,6 @@ class OneCluster:
         volume: Volume = "scale",
     ) -> tuple[FloatArray, FloatArray]:
         """How every particle of static states moves with beta and with theta, two of (B, K, d) [m]; held ones stay.
-
         Derivatives of the state by implicit differentiation, with Newton's matrix. beta, theta: (B,) or one"""
         work = self._filled(len(equilibrium.transform), held, beta, theta, 0.0, 0, volume)
         work.start[:] = equilibrium.transform.reshape(len(work.start), -1) / self.radius
@@ -254,15 +254,6 @@ class OneCluster:
         row[:, k.TOLERANCE : k.HELD] = (tolerance, max_iterations, False)
         work.held[:] = held.moments
         return work
-
-    def _begin_at(self, start: FloatArray, work: _Work) -> None:
-        """Have candidates start at positions (B, K, d)."""
-        mean = self._mass @ start
-        fit = (self._fit_weights.T @ (start - mean[:, None])).transpose(0, 2, 1)
-        work.row[:, k.STARTED] = True
-        work.start[:] = fit.reshape(len(start), -1)
-        if not len(self.held):
-            work.held[:, -self.dim :] = mean  # nothing else says where the body is
 
 
 class _Work:

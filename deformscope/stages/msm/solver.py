@@ -204,13 +204,6 @@ class Msm:
         """The body in float64: for eq. 3.17, which has no energy, and whose error float32 cannot judge."""
         return self._body if self._scalar is wp.float64 else self._build(wp.float64)
 
-    @property
-    def _minimised(self) -> Body:
-        """The body for states that have an energy: a large lattice in float64, because float32 does not resolve its
-        slow modes from rounding; preconditioned it takes no longer."""
-        large = isinstance(self._body, LatticeBody) and len(self.rest) > multigrid.LEAST
-        return self._double if large else self._body
-
     def variant(self, *, axes: FloatArray | None = None, plastic: bool = False) -> Msm:
         """This body with index lists, for `materials`: betas along `axes` (d, d), or clusters that yield."""
         if axes is not None and self._basis != "linear":
@@ -316,7 +309,9 @@ class Msm:
     def _method(self, kind: type[Newton] | type[Anderson], size: int, volume: int) -> Any:
         """A method, with its scratch; those of the last few calls are reused."""
         key = (kind, size, volume)
-        body = self._double if kind is Anderson else self._minimised
+        # a large lattice in float64, because float32 does not resolve its slow modes from rounding
+        large = isinstance(self._body, LatticeBody) and len(self.rest) > multigrid.LEAST
+        body = self._double if kind is Anderson or large else self._body
         method = self._scratch.pop(key, None) or kind(body, self._particles, size, volume)
         if size * len(self.rest) <= KEPT_NUMBERS:
             self._scratch[key] = method

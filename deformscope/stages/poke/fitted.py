@@ -252,10 +252,8 @@ def scene_of(model: FittedModel, law: Law, poke: Poke) -> tuple[PokeSetup, Layer
 def from_pair(
     seen: Observation, law: Law, stiffness: float | None, error: float, provenance: Mapping[str, object]
 ) -> FittedModel:
-    """A model of the very particles of one observation. stiffness: k [N/m], None if unknown; error: average distance
-    of the free particles [m].
-
-    Raises InputError where the scale is not known, or nothing was pushed."""
+    """A model of the very particles of one observation. stiffness: k [N/m], None if unknown; error: average distance of
+    the free particles [m]. Raises InputError where the scale is not known, or nothing was pushed."""
     scale = seen.metres_per_unit
     if scale is None:
         raise InputError("positions in metres for a model that is saved", "pixels of unknown size", "--px-per-cm")

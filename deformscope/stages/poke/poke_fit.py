@@ -94,7 +94,6 @@ class SeenPoke:
 
 def seen_poke(seen: Observation) -> SeenPoke:
     """The poke in an observation of a surface: its contact, or the held particles that moved, are the touched points.
-
     Raises InputError for a flat (2D) observation, and where nothing was pressed down."""
     if seen.rest.shape[1] != 3:
         raise InputError("a surface in space, rest (K, 3), for a body with layers", "2D positions")

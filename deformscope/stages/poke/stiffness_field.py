@@ -13,12 +13,11 @@ from functools import cached_property, partial
 
 import numpy as np
 from scipy.spatial.distance import cdist
-from scipy.special import logsumexp, stdtr
+from scipy.special import logsumexp, ndtr, stdtr
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.gaussian_process import correlation
-from deformscope.stages.poke.mixture import quantile
 from deformscope.stages.regions.levels import RegionPrior
 from deformscope.stages.regions.posterior import PRIOR_EXTENT_M, PRIOR_MARGIN_M, RegionPosterior, SurfaceKind
 from deformscope.stages.regions.smooth import SmoothField, SmoothKernel
@@ -242,9 +241,8 @@ class StiffnessField:
 
 
 def fit_field(places: FloatArray, stiffness: FloatArray, tip_width: float | None) -> StiffnessField:
-    """The field that pokes (p, 2) with a tip of this width [m], `USUAL_TIP_M` if not known, say.
-
-    Raises InputError for stiffness that is not above 0."""
+    """The field that pokes (p, 2) with a tip of this width [m], `USUAL_TIP_M` if not known, say. Raises InputError for
+    stiffness that is not above 0."""
     if not (np.isfinite(stiffness).all() and (stiffness > 0.0).all()):
         raise InputError("stiffness above 0 at every poke", f"{float(np.min(stiffness)):g} N/m")
     return StiffnessField(places, stiffness, CONTACT * (USUAL_TIP_M if tip_width is None else tip_width))
@@ -255,3 +253,29 @@ def kind_of(probability: dict[str, float]) -> SurfaceKind:
     if probability["gradual"] > 0.5:
         return "gradual"
     return "uniform" if probability["1"] >= max(probability["2"], probability["3"]) else "materials"
+
+
+BISECTIONS = 30
+FARTHEST = 9.0
+"""Deviations from a component's mean within which its quantiles are sought."""
+
+
+def quantile(
+    mean: FloatArray,
+    deviation: FloatArray,
+    weight: FloatArray,
+    share: float,
+    *,
+    below: Callable[[FloatArray], FloatArray] = ndtr,
+) -> FloatArray:
+    """The value (...) that a `share` of a mixture lies below, by bisection.
+
+    mean, deviation: (c, ...) mean and deviation of the components; weight: (c,) or (c, ...), adding up to 1 over them;
+    below: distribution function of a component of mean 0 and deviation 1"""
+    own = weight.reshape(*weight.shape, *(1,) * (mean.ndim - weight.ndim))
+    low, high = (mean - FARTHEST * deviation).min(axis=0), (mean + FARTHEST * deviation).max(axis=0)
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        less = (own * below((middle - mean) / deviation)).sum(axis=0) < share
+        low, high = np.where(less, middle, low), np.where(less, high, middle)
+    return np.asarray(0.5 * (low + high))

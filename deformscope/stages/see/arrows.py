@@ -52,9 +52,8 @@ class FlowArrows:
 
 
 def region_of(image: Image, roi: Rect | None = None, longest_px: int = 160) -> Region:
-    """The region of an image, averaged down until its longer side has at most `longest_px` pixels.
-
-    Raises InputError where the region is not in the image."""
+    """The region of an image, averaged down until its longer side has at most `longest_px` pixels. Raises InputError
+    where the region is not in the image."""
     height, width = image.shape[:2]
     left, top, right, bottom = 0, 0, width, height
     if roi is not None:

@@ -119,9 +119,8 @@ def axial_noise_m(distance_m: FloatArray, incidence_rad: FloatArray | float = 0.
 
 
 def height_noise_m(points: FloatArray, T_world_camera: FloatArray) -> FloatArray:
-    """(n,) deviation of the height of points (n, 3) on a level surface, from a camera's axial noise [m].
-
-    An error of depth moves a point along its ray; a surface seen at an angle is then off by the ray's share along z."""
+    """(n,) deviation of the height of points (n, 3) on a level surface, from a camera's axial noise [m]. An error of
+    depth moves a point along its ray; a surface seen at an angle is then off by the ray's share along z."""
     transform = np.asarray(T_world_camera, dtype=np.float64)
     ray = points - transform[:3, 3]
     axial = ray @ transform[:3, 2]  # the camera's axis in the world

@@ -95,9 +95,7 @@ def find_board(image: ImageArray, board: CharucoSpec) -> SeenBoard | None:
 
 def lens(views: Sequence[SeenBoard], size_px: tuple[int, int], board: CharucoSpec) -> LensEstimate:
     """Focal lengths, principal point and distortion from views of the board. size_px: (width, height) size of the
-    images.
-
-    Raises InputError for too few views, or a board that was not tilted."""
+    images. Raises InputError for too few views, or a board that was not tilted."""
     if len(views) < FEWEST_VIEWS:
         raise InputError(f"{FEWEST_VIEWS} views of the board or more", str(len(views)), "12, tilted each way")
     objects = [board.corners_m[view.number].astype(np.float32) for view in views]

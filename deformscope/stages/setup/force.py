@@ -106,9 +106,8 @@ class ForceGain:
 
 
 def force_gain(force_n: FloatArray, load_n: float) -> ForceGain:
-    """The gain, from the forces (n, 3) [N] beyond free air that a sensor gave under a known load [N].
-
-    Raises InputError for a load that is too small, and for forces outside a sensor's possible gain."""
+    """The gain, from the forces (n, 3) [N] beyond free air that a sensor gave under a known load [N]. Raises InputError
+    for a load that is too small, and for forces outside a sensor's possible gain."""
     measured_n = np.linalg.norm(np.asarray(force_n, np.float64), axis=1)
     if not (load_n >= LEAST_LOAD_N and len(measured_n)):
         raise InputError(f"a load of {LEAST_LOAD_N:g} N or more", f"{load_n:g} N", "the set force of a touch, or more")

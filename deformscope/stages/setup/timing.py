@@ -39,9 +39,8 @@ class TimeOffset:
 
 
 def time_offset(x_time_s: FloatArray, x: FloatArray, y_time_s: FloatArray, y: FloatArray) -> TimeOffset:
-    """The offset between a dense signal x (n,) and another y (m,) at their times [s], each by its own clock.
-
-    Raises InputError for signals without a tap, that do not go together, or whose offset is at the end of the reach."""
+    """The offset between a dense signal x (n,) and another y (m,) at their times [s], each by its own clock. Raises
+    InputError for signals without a tap, that do not go together, or whose offset is at the end of the reach."""
     for name, signal in (("first", x), ("second", y)):
         if len(signal) < 20 or not np.isfinite(signal).all():
             raise InputError(f"20 readings or more of the {name} signal", str(len(signal)))

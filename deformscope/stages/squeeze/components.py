@@ -70,9 +70,8 @@ def kept_of(variance: FloatArray, share: float = EXPLAINED) -> int:
 
 
 def loadings(train: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Principal directions (q, d) of (n, q) standardised training features, and their variances (d,), falling.
-
-    Signs are fixed (the largest entry is positive), so that the same data give the same pictures."""
+    """Principal directions (q, d) of (n, q) standardised training features, and their variances (d,), falling. Signs
+    are fixed (the largest entry is positive), so that the same data give the same pictures."""
     from sklearn.decomposition import PCA
 
     if not train.size:

@@ -125,9 +125,8 @@ def compare(before: ContainerFit, after: ContainerFit | InputError) -> Container
 
 
 def matches(found: ContainerFit, size_m: tuple[float, float, float]) -> ContainerFit:
-    """The same with its x axis along the side that a rig file calls x. size_m: size of its `[container]`.
-
-    Raises InputError for another container there."""
+    """The same with its x axis along the side that a rig file calls x. size_m: size of its `[container]`. Raises
+    InputError for another container there."""
     choices = [found]
     if found.shape == "box":
         yaw = (found.yaw_rad + np.pi) % np.pi - 0.5 * np.pi

@@ -88,9 +88,8 @@ class ModelCheck:
 
 
 def check_model(model: ContentModel, table: LabelledTable, *, level: float = 0.9, seed: int = 0) -> ModelCheck:
-    """Evaluation of a model on a table of new trials.
-
-    Raises InputError for labels and columns that the model does not have, and for missing modalities."""
+    """Evaluation of a model on a table of new trials. Raises InputError for labels and columns that the model does not
+    have, and for missing modalities."""
     if unknown := [one for one in table.classes if one not in model.labels]:
         came = ", ".join(map(repr, unknown))
         raise InputError(f"labels out of {', '.join(model.labels)}", came, "--merge, or relabel")

@@ -299,7 +299,6 @@ def _solve(
     rows: list[_Rows], pose: FloatArray, rest: FloatArray, lever: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(6,) the motion in the camera frame: along observed directions to the data, along the others to the rest pose.
-
     Also directions (6, 6) by row in the container frame, and the deviation along each (6,) [m]"""
     turn = np.zeros((6, 6))
     turn[:3, :3], turn[3:, 3:] = pose[:3, :3], pose[:3, :3] / lever  # from container frame with lever to camera frame

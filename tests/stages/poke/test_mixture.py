@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 from scipy.special import ndtr, stdtr
 from scipy.stats import norm, t
 
-from deformscope.stages.poke.mixture import quantile
+from deformscope.stages.poke.stiffness_field import quantile
 
 
 @pytest.mark.parametrize("share", [0.05, 0.5, 0.95])

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.setup.board import CharucoSpec, SeenBoard, board_image, board_pose, find_board, lens
-from deformscope.stages.setup.camera import camera_from_views, doubt_at
+from deformscope.stages.setup.hand_eye import camera_from_views, doubt_at
 from deformscope.stages.setup.transform import moved, rigid
 
 BOARD = CharucoSpec(7, 5, 0.03)
