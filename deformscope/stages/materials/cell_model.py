@@ -162,7 +162,10 @@ class CellModel:
         `elasticity`"""
         each = self._cells(nu, bent)
         base = 0.0 if self._fixed_cells is None else self._fixed_cells[1]
-        whole = self._assembled(np.exp(p)[:, None, None] * each + base)
+        rows = np.repeat(self.dof, self.dof.shape[1], axis=1).ravel()
+        columns = np.tile(self.dof, (1, self.dof.shape[1])).ravel()
+        values = (np.exp(p)[:, None, None] * each + base).ravel()
+        whole = csc_array((values, (rows, columns)), shape=(self.count * self.d, self.count * self.d))
         factors = splu(whole[np.ix_(self.free, self.free)].tocsc())
         u = np.zeros(self.count * self.d)
         u[self.fixed] = moved.ravel()[self.fixed]
@@ -170,16 +173,17 @@ class CellModel:
         u[self.free] = factors.solve(-(coupling @ u[self.fixed]))
         force = np.zeros(u.size)
         force[self.fixed] = (whole @ u)[self.fixed]
-        plain = CellState(u.reshape(-1, self.d), *[np.zeros((0, 0))] * 4, force=force.reshape(-1, self.d))
+        none = np.zeros((0, 0))
+        plain = CellState(u.reshape(-1, self.d), none, none, none, none, force.reshape(-1, self.d))
         if not slopes:
             return plain
         response = np.zeros((u.size, self.fixed.size))
         response[self.free] = factors.solve(-coupling.toarray())
         response[self.fixed, np.arange(self.fixed.size)] = 1.0
         loads = np.exp(p)[:, None] * np.einsum("cab,cb->ca", each, u[self.dof])
-        columns = np.zeros((self.count * self.d, len(loads)))  # each cell's load
-        columns[self.dof, np.arange(len(loads))[:, None]] = loads
-        slope = self._solved(factors, columns)
+        each_load = np.zeros((u.size, len(loads)))
+        each_load[self.dof, np.arange(len(loads))[:, None]] = loads
+        slope = self._solved(factors, each_load)
         own = np.append(nu, [] if bent is None else bent)
         by_own: FloatArray = np.zeros((u.size, len(own)))
         if self.law == "elastic":
@@ -194,13 +198,6 @@ class CellModel:
     def _cells(self, nu: float, bent: FloatArray | None) -> FloatArray:
         """Stiffness of each cell's particles (C or 1, 2^d d, 2^d d) at modulus 1."""
         return elastic_cells(self.corner, nu, bent) if self._fixed_cells is None else self._fixed_cells[0]
-
-    def _assembled(self, each: FloatArray) -> csc_array:
-        """(K d, K d) sum of the cells' matrices (C, 2^d d, 2^d d)."""
-        rows = np.repeat(self.dof, self.dof.shape[1], axis=1)
-        columns = np.tile(self.dof, (1, self.dof.shape[1]))
-        size = self.count * self.d
-        return csc_array((each.ravel(), (rows.ravel(), columns.ravel())), shape=(size, size))
 
     def _solved(self, factors: object, load: FloatArray) -> FloatArray:
         """Displacements (K d, ...) of loads (K d, ...) with factors of the free unknowns' matrix; 0 where held."""

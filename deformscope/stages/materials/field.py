@@ -330,7 +330,14 @@ def _materials(fit: FieldFit, found: list[Description], edges: IntArray, count: 
     p, weight = smooth.point.at[:-1], 1.0 / np.maximum((smooth.root[:-1] ** 2).sum(axis=1), 1e-12)
     begun = [field_levels.levels_of(p, weight, count)]
     if count > 1:
-        begun += [*field_levels.split(found[-1].label, p, weight), *_best_cuts(fit, noise, found[-1])]
+        # the best straight cut through one of the materials across each axis
+        root = fit.noise_root(noise, found[-1].point.state.response)
+        both = found[-1].point.linear(fit.target), found[-1].point.slope
+        y, w = (solve_triangular(root, rows, lower=True) for rows in both)
+        gain = partial(field_levels.gain, gram=w.T @ w, wanted=w.T @ y)
+        cuts = field_levels.cuts(found[-1].label, fit.place, fit.spacing)
+        begun += field_levels.split(found[-1].label, p, weight)
+        begun += [max(some, key=lambda label: gain(fit.levels(label))) for some in cuts if some]
     described: list[Description] = []
     for one in begun:
         described += _found_from(fit, noise, one, edges, count, described)
@@ -338,15 +345,6 @@ def _materials(fit: FieldFit, found: list[Description], edges: IntArray, count: 
         best = max(described, key=lambda one: one.weight)
         described += _found_from(fit, best.noise, best.label, edges, count, described)
     return sorted(described, key=lambda one: -one.weight)
-
-
-def _best_cuts(fit: FieldFit, noise: NoiseModel, one: Description) -> list[IntArray]:
-    """Labels (C,) of the best straight cut through one of the materials across each axis."""
-    root = fit.noise_root(noise, one.point.state.response)
-    y, w = (solve_triangular(root, rows, lower=True) for rows in (one.point.linear(fit.target), one.point.slope))
-    gram, wanted = w.T @ w, w.T @ y
-    axes = field_levels.cuts(one.label, fit.place, fit.spacing)
-    return [max(some, key=lambda label: field_levels.gain(fit.levels(label), gram, wanted)) for some in axes if some]
 
 
 def _found_from(
@@ -395,22 +393,19 @@ def _rival(uniform: Description, rival: Rival) -> Description:
 
 
 def _directions(one: Description) -> DirectionalStiffness:
-    """Along which direction an anisotropic material is stiffest, and over the softest how much."""
-    fit, d, at = one.fit, one.fit.place.shape[1], one.point.at
-    along = _all_directions(d)
+    """Along which direction an anisotropic material is stiffest, and over the softest how much. Directions are spread
+    evenly over a half circle, or a half sphere (golden spiral)."""
+    fit, d, at, turn = one.fit, one.fit.place.shape[1], one.point.at, np.arange(DIRECTIONS)
+    if d == 2:
+        angle = np.pi * turn / DIRECTIONS
+        along = np.column_stack([np.cos(angle), np.sin(angle)])
+    else:
+        up, angle = (turn + 0.5) / DIRECTIONS, np.pi * (3.0 - np.sqrt(5.0)) * turn
+        flat = np.sqrt(1.0 - up**2)
+        along = np.column_stack([flat * np.cos(angle), flat * np.sin(angle), up])
     found = directional_modulus(elasticity(d, fit.nu(at), fit.bent(at)), along)
     low, high = int(found.argmin()), int(found.argmax())
     return DirectionalStiffness(along[high], along[low], ratio=float(found[high] / found[low]))
-
-
-def _all_directions(d: int) -> FloatArray:
-    """(n, d) of unit length, evenly over a half circle, or a half sphere (golden spiral)."""
-    turn = np.arange(DIRECTIONS)
-    if d == 2:
-        angle = np.pi * turn / DIRECTIONS
-        return np.column_stack([np.cos(angle), np.sin(angle)])
-    up, angle = (turn + 0.5) / DIRECTIONS, np.pi * (3.0 - np.sqrt(5.0)) * turn
-    return np.column_stack([np.sqrt(1.0 - up**2) * np.cos(angle), np.sqrt(1.0 - up**2) * np.sin(angle), up])
 
 
 def _hidden(one: Description) -> list[Description]:

@@ -110,9 +110,6 @@ class Moving:
 
     def __init__(self, operator: Operator) -> None:
         self.last_dt = 0.0
-        self._settle_in(operator)
-
-    def _settle_in(self, operator: Operator) -> None:
         self.operator: Any = operator
         self.layout = operator.layout
         self.pair = self.layout.field(2 * operator.dim)
@@ -129,15 +126,6 @@ class Moving:
                 self._kept.clear()
             self._kept[key] = make()
         return self._kept[key]
-
-    def move_to(self, operator: Operator) -> None:
-        """The same state, stepped by another operator."""
-        now, last = (self.layout.get(each, operator.dim) for each in (self.u, self.before))
-        ran_away = self.diverged
-        self._settle_in(operator)
-        self.layout.put(now, self.u)
-        self.layout.put(last, self.before)
-        self.ran_away = self.layout.each(ran_away.astype(np.float64), int)
 
     @property
     def u(self) -> Field:
@@ -288,9 +276,7 @@ class Msm:
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Held displacements (B or 1, n, d) in spacings, beta (B,) or (B, C), theta (B,)."""
         if isinstance(beta, AxisBeta):
-            raise ValueError(
-                "expected one beta, or one for each cluster: relax, step and residual alone take an AxisBeta"
-            )
+            raise ValueError("expected one beta, or one for each cluster: relax and residual alone take an AxisBeta")
         shape = (-1 if len(self.held) else 1, len(self.held), self.dim)
         held_position = np.asarray(held_position, dtype=np.float64).reshape(shape)
         held_u = (held_position - self._held_rest) / self.scale
@@ -590,7 +576,7 @@ class Msm:
         self,
         state: Moving,
         held_position: FloatArray,
-        beta: FloatArray | float | AxisBeta,
+        beta: FloatArray | float,
         theta: FloatArray | float = 0.0,
         *,
         volume: Volume = "scale",
@@ -617,7 +603,7 @@ class Msm:
         self,
         state: Moving,
         held_position: FloatArray,
-        beta: FloatArray | float | AxisBeta,
+        beta: FloatArray | float,
         theta: FloatArray | float = 0.0,
         *,
         volume: Volume = "scale",
@@ -628,17 +614,11 @@ class Msm:
         held_from: FloatArray | None = None,
     ) -> None:
         """`step`, whose result stays on the device; on a GPU it returns before the steps are taken."""
-        if isinstance(beta, AxisBeta):
-            how: Any = {"alpha": alpha, "dt": dt, "acceleration": acceleration, "steps": steps, "held_from": held_from}
-            self._along(beta, theta).advance(state, held_position, beta.value[:, None, :], **how)
-            return
-        if state.operator.body is not self._body:
-            state.move_to(self._body.operator(self._body.layout(state.layout.candidates)))
         held_u, beta_b, theta_b = self._candidates(held_position, beta, theta)
         if len(beta_b) not in (1, state.layout.candidates):
             raise ValueError(f"expected candidates for {state.layout.candidates} bodies or for one; got {len(beta_b)}")
-        how = VOLUMES[volume] if theta_b.any() else NONE
-        stepping = _Stepping(self, state, held_u, beta_b, theta_b, how, alpha, dt, acceleration)
+        conserved = VOLUMES[volume] if theta_b.any() else NONE
+        stepping = _Stepping(self, state, held_u, beta_b, theta_b, conserved, alpha, dt, acceleration)
         if held_from is None:
             stepping.run(steps)
         else:
