@@ -70,7 +70,7 @@ def back_project(depth_m: FloatArray, camera: Intrinsics, T_world_camera: FloatA
         import cv2
 
         coefficients = np.pad(camera.distortion, (0, 5 - len(camera.distortion)))
-        aside = cv2.undistortPoints(aside[:, None, :], np.eye(3), coefficients)[:, 0, :]
+        aside = np.asarray(cv2.undistortPoints(aside[:, None, :], np.eye(3), coefficients)[:, 0, :], dtype=np.float64)
     return np.asarray(np.column_stack([aside * z[:, None], z]) @ transform[:3, :3].T + transform[:3, 3])
 
 
