@@ -29,9 +29,8 @@ class AtValue:
 
 
 def simulate(seen: Observation, model: Model, values: FloatArray, body: Msm | None = None) -> list[Comparison]:
-    """The model at each value (g,) of its parameter; a simulation that does not come to rest is NaN.
-
-    body: `model.body(seen)`, if it exists already. Each simulation begins at rest, whatever was simulated before."""
+    """The model at each value (g,) of its parameter; a simulation that does not come to rest is NaN. body:
+    `model.body(seen)`, if it exists already. Each simulation begins at rest, whatever was simulated before."""
     other = np.ones(len(values))
     beta, theta = (values, model.theta * other) if model.parameter == "beta" else (model.beta * other, values)
     held = seen.deformed[seen.held]

@@ -27,9 +27,7 @@ def unexplained(
     rest: FloatArray, deformed: FloatArray, simulated: FloatArray, judged: BoolArray, known: BoolArray
 ) -> tuple[float, float]:
     """Residuals of a simulation of a motion, and of the best rigid motion: sums of squares over the judged particles
-    [unit^2].
-
-    rest, deformed, simulated: (K, d); judged: (K,) free and seen; known: (K,) deformed position is known"""
+    [unit^2]. rest, deformed, simulated: (K, d); judged: (K,) free and seen; known: (K,) deformed position is known"""
     rigid = rigid_positions(rest, deformed, known)
     return float(np.sum((simulated - deformed)[judged] ** 2)), float(np.sum((rigid - deformed)[judged] ** 2))
 

@@ -205,9 +205,8 @@ def _still(seen: Sequence[Observation], share: float) -> str:
 def value_at_end(
     name: str, value: float, ends: tuple[float, float], bounds: tuple[float, float], rank: float | None = None
 ) -> Iterator[Doubt]:
-    """The value of least mean distance may be at the end of the likelihood's interval, extended to include it.
-
-    rank: mass of the posterior below the value; a value outside of the tails is not contradicted"""
+    """The value of least mean distance may be at the end of the likelihood's interval, extended to include it. rank:
+    mass of the posterior below the value; a value outside of the tails is not contradicted"""
     low, high = ends
     if rank is not None and TAIL < rank < 1.0 - TAIL:
         return

@@ -41,9 +41,8 @@ def step_through(
     volume: Volume = "scale",
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[FloatArray, BoolArray]:
-    """Positions (B, F, K, d) of B candidates at every frame, from rest; and which candidates diverged (B,).
-
-    held: (F, n, d) positions of the held particles at the frames"""
+    """Positions (B, F, K, d) of B candidates at every frame, from rest; and which candidates diverged (B,). held: (F,
+    n, d) positions of the held particles at the frames"""
     state = body.start(len(beta))
     before = body.rest[body.held]
     found = np.empty((len(beta), len(held), *body.rest.shape))

@@ -38,7 +38,7 @@ class Observation:
     metres_per_unit: size of the unit, None for pixels of unknown size; force_n: net force [N] on the held particles
     `contact`, None if it was not measured; force_noise_n: its standard deviation [N], None if unknown
     held_measured: whether the held positions were measured, with the noise of the others, or are exact; None = unknown
-    tip: the tip that pressed the particles of `contact`, if known; tip_at: (d,) place where the tip's axis met the body
+    tip: the tip that pressed the particles of `contact`, if known; tip_at: (d,) place where the tip's axis enters it
     [unit], if known; particles show it only to within their spacing
     held_shift: standard deviation of the common error of all held positions [unit]: of a robot's or a fixture's
     registration; None = some hundredths of a spacing (`systematic.TOOL_SHIFT`)

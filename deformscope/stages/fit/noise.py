@@ -279,9 +279,8 @@ class ErrorModel:
     def products(
         self, residual: FloatArray, response: FloatArray, chosen: IntArray | None = None, *, settle: bool = False
     ) -> Products:
-        """chi2 of all sums of some residuals (r, n, d); `few` reduces more residuals than coordinates.
-
-        settle: each residual belongs to a value of the parameter, and the best of them determines `log_scale`"""
+        """chi2 of all sums of some residuals (r, n, d); `few` reduces more residuals than coordinates. settle: each
+        residual belongs to a value of the parameter, and the best of them determines `log_scale`"""
         every = self.hypotheses
         rows = np.arange(len(every.size)) if chosen is None else chosen
         product = np.empty((len(rows), len(residual), len(residual)))

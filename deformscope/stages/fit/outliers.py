@@ -146,9 +146,8 @@ def outlying(
 
 
 def _behind(residual: FloatArray, way: FloatArray, scale: FloatArray) -> BoolArray:
-    """(n,) which residuals (n, d) are of tracks that stay behind on paths (n, d), too little to be outliers alone.
-
-    A mixture: an unknown share of tracks does, from `STOPPED` of the way down; scale: (n,) deviation of a coordinate"""
+    """(n,) which residuals (n, d) are of tracks that stay behind on paths (n, d), too little to be outliers alone. A
+    mixture: an unknown share of tracks does, from `STOPPED` of the way down; scale: (n,) deviation of a coordinate"""
     missing = np.linspace(1.0 - STOPPED, 1.0, 9)[:, None]
     along, length = -np.sum(residual * way, axis=1), np.sum(way**2, axis=1)
     log_ratio = logsumexp((missing * along - 0.5 * missing**2 * length) / scale**2, axis=0) - np.log(len(missing))

@@ -83,7 +83,6 @@ def _steps(
     part: Residuals, residual: FloatArray, effect: FloatArray, response: FloatArray, off: BoolArray
 ) -> FloatArray | None:
     """By how much held particles are off, (k, d); None where none is. Those found are marked in off (k,), one a call.
-
     residual, effect of the parameter: (n, d); response: (n, d, m)"""
     k, d = len(off), residual.shape[1]
     columns = np.concatenate([effect[None], np.moveaxis(response, -1, 0)])

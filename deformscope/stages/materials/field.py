@@ -275,9 +275,8 @@ def _descriptions(
 
 
 def _chosen(found: list[Description], probability: FloatArray) -> tuple[Description, float]:
-    """The reported description, and the probability of one material, plain, anisotropic or with a smooth error.
-
-    That places differ has to be shown, and so has that directions do: evidence is as good as the model of the noise."""
+    """The reported description, and the probability of one material, plain, anisotropic or with a smooth error. That
+    places differ has to be shown, and so has that directions do: evidence is as good as the model of the noise."""
     plain, bent, error = probability[[1, -2, -1]].tolist()
     same = plain + bent + error
     if same < SHOWN:

@@ -366,9 +366,7 @@ def likeliest_noise(
     fit: FieldFit, prior: StiffnessPrior, point: FieldPoint, near: NoiseModel | None = None
 ) -> tuple[NoiseModel, float]:
     """Errors with the highest evidence for any field, and its logarithm: the density with which every number was
-    predicted from those before it.
-
-    near: noise whose reach, or the next reaches of its kind, are tried; None = any"""
+    predicted from those before it. near: noise whose reach, or the next reaches of its kind, are tried; None = any"""
     noises = NOISES
     if near is not None:
         kind = [one.reach for one in NOISES if (one.smooth, one.own) == (near.smooth, near.own)]

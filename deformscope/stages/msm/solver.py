@@ -572,27 +572,9 @@ class Msm:
             state.layout.put(u, state.before)
         return state
 
-    def step(
-        self,
-        state: Moving,
-        held_position: FloatArray,
-        beta: FloatArray | float,
-        theta: FloatArray | float = 0.0,
-        *,
-        volume: Volume = "scale",
-        alpha: float = 1.0,
-        dt: float = 2e-3,
-        acceleration: Sequence[float] | None = None,
-        steps: int = 1,
-        held_from: FloatArray | None = None,
-    ) -> FloatArray:
-        """Time stepping as in the thesis (Algorithm 1 with eq. 3.11): moves `state` on and returns (B, K, d).
-
-        dt [s]; acceleration: f_ext / m, (d,) [m/s^2]. Without it, dt does not change the motion (alpha = 1).
-        held_from: (n, d) or (B, n, d), whence the held particles go to held_position evenly over the steps; without it
-        they are there from the first step on"""
-        how: Any = {"volume": volume, "alpha": alpha, "dt": dt, "acceleration": acceleration}
-        self.advance(state, held_position, beta, theta, **how, steps=steps, held_from=held_from)
+    def step(self, state: Moving, *given: Any, **how: Any) -> FloatArray:
+        """The positions (B, K, d) after `advance`, whose arguments it takes."""
+        self.advance(state, *given, **how)
         return self.positions(state)
 
     def positions(self, state: Moving) -> FloatArray:
@@ -613,7 +595,12 @@ class Msm:
         steps: int = 1,
         held_from: FloatArray | None = None,
     ) -> None:
-        """`step`, whose result stays on the device; on a GPU it returns before the steps are taken."""
+        """Time stepping as in the thesis (Algorithm 1 with eq. 3.11): moves `state` on, which stays on the device; on a
+        GPU it returns before the steps are taken.
+
+        dt [s]; acceleration: f_ext / m, (d,) [m/s^2]. Without it, dt does not change the motion (alpha = 1).
+        held_from: (n, d) or (B, n, d), whence the held particles go to held_position evenly over the steps; without it
+        they are there from the first step on"""
         held_u, beta_b, theta_b = self._candidates(held_position, beta, theta)
         if len(beta_b) not in (1, state.layout.candidates):
             raise ValueError(f"expected candidates for {state.layout.candidates} bodies or for one; got {len(beta_b)}")

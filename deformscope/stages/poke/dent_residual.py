@@ -50,9 +50,8 @@ class DentResidual:
 
 
 def residual_of(seen: Sequence[SurfaceLeft], thickness: float) -> DentResidual | None:
-    """The residual that pokes have in common; None under a ball, whose edge moves as it sinks in.
-
-    Least squares, drawn towards 0 by as much as points scatter: few points say little."""
+    """The residual that pokes have in common; None under a ball, whose edge moves as it sinks in. Least squares, drawn
+    towards 0 by as much as points scatter: few points say little."""
     if any(one.tip.shape == "sphere" for one in seen):
         return None
     gram, right = np.zeros((len(DISTANCES),) * 2), np.zeros((len(DISTANCES), 2))

@@ -152,9 +152,8 @@ def continuum(law: Law, stiffness: float, spacing: float) -> tuple[float, float]
 def conclude(
     fit: PokesFit, *, level: float, settings: Mapping[str, object], provenance: Mapping[str, object]
 ) -> PokesResult:
-    """The estimate of beta, whose interval allows for theta, noise and misfit, and the model.
-
-    The misfit of several pokes is of one kind and does not average out: likelihoods are averaged, not multiplied."""
+    """The estimate of beta, whose interval allows for theta, noise and misfit, and the model. The misfit of several
+    pokes is of one kind and does not average out: likelihoods are averaged, not multiplied."""
     best = fit.best
     bounds = fit.beta_range
     profile = Profile(fit)

@@ -123,9 +123,8 @@ class Partitions:
         return label
 
     def shares(self, xy_m: FloatArray, blur_m: float) -> FloatArray:
-        """(n, p, regions) share of each region in a contact at places (p, 2): Gaussian of `blur_m` [m].
-
-        Each curve counts as straight within the blur: a share is normal in the distance."""
+        """(n, p, regions) share of each region in a contact at places (p, 2): Gaussian of `blur_m` [m]. Each curve
+        counts as straight within the blur: a share is normal in the distance."""
         first = ndtr(self._distance(0, xy_m) / blur_m)
         if self.regions == 2 and self.double.any():
             second = ndtr(self.take(self.double)._distance(1, xy_m) / blur_m)

@@ -225,7 +225,6 @@ def select_held(grid: ParticleGrid, groups: Sequence[str], contact: Rect | None 
 
 def sample(field: FloatArray, xy: FloatArray) -> FloatArray:
     """Values of an (H, W, c) field at the (K, 2) points (x, y) [px], (K, c), bilinear; NaN outside the image.
-
     Interpolate in full precision: OpenCV's remap rounds positions to 1/32 px."""
     at = np.asarray(xy, dtype=np.float64)[:, ::-1].T
     height, width = field.shape[:2]

@@ -129,8 +129,6 @@ def judged(value: FloatArray, inverse: FloatArray, left_over: FloatArray, prior:
 
 
 def transform_of(found: LeastSquares, T_start: FloatArray) -> TransformEstimate:
-    """The transform whose deviation from T_start (4, 4) is a fit's first six values.
-
-    The covariance is of a deviation from the estimate: for the small turns that a fit ends with, those of its values.
-    """
+    """The transform whose deviation from T_start (4, 4) is a fit's first six values. The covariance is of a deviation
+    from the estimate: for the small turns that a fit ends with, those of its values."""
     return TransformEstimate(moved(T_start, found.value[:6]), found.covariance[:6, :6], found.dof)

@@ -162,9 +162,7 @@ def fit_expert(
 
 def fuse(pool: Pool, logs: FloatArray, present: BoolArray) -> FloatArray:
     """(n, C) fused of (M, n, C) calibrated ones. With one modality, the result is that modality's posterior; with none,
-    only the offsets count.
-
-    present: (M, n) which modalities are present"""
+    only the offsets count. present: (M, n) which modalities are present"""
     fused = pool.log_posterior(logs, present)
     alone = present.sum(axis=0) == 1
     if alone.any():
