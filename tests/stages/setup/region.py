@@ -1,7 +1,5 @@
 """Whether the region of an estimated transform, an ellipsoid over all its six components together, holds another."""
 
-from __future__ import annotations
-
 import numpy as np
 import scipy
 
