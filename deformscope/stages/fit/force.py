@@ -40,7 +40,8 @@ def contact_stiffness(seen: Sequence[Observation], level: float) -> tuple[float,
         noise = 0.0 if s.noise is None else float(np.sqrt(np.mean(s.noise[s.touched] ** 2) / len(s.touched)))
         force_sd = FORCE_SHARE * s.force_n if s.force_noise_n is None else s.force_noise_n
         rows.append((s.force_n, moved, force_sd, noise * s.metres_per_unit))
-    return secant(*np.array(rows, dtype=np.float64).reshape(-1, 4).T, level)
+    applied, moved_m, applied_sd, moved_sd = np.array(rows, dtype=np.float64).reshape(-1, 4).T
+    return secant(applied, moved_m, applied_sd, moved_sd, level)
 
 
 def secant(
