@@ -130,7 +130,7 @@ def press_foam(case: TouchedFoam) -> FoamDent:
         explorer = UnseenSurface(scene.size_m, options, robot.arm, robot.truth).look(robot.look())
         at = 0.5 * np.asarray(scene.size_m)
         touched = robot.touch(Touch(at, *explorer.surface.aim(at)))
-        found = explorer.touch(touched).estimate
+        found, *_ = explorer.touch(touched)
         dent = explorer.betas[0].dent
         if dent is None:
             raise InputError("a foam that 3 N dents", f"{hardness_n} N", "a softer one")

@@ -53,14 +53,29 @@ def fit_beta(
     if options.beta_model == "none":
         return BetaEstimate("not asked for")
     as_thesis = options.planner == "thesis"
+    if fit.rigid and as_thesis:  # nothing moved, so every beta fits: the first of the sweep, where the tip was
+        radius = options.tip_radius_m
+        grid = MapGrid((4.0 * radius, 4.0 * radius), options.cell_m)
+        dented = np.linalg.norm(grid.centres_m - 2.0 * radius, axis=1) <= radius
+        dented_m = touched.xy_m - 2.0 * radius + grid.centres_m[dented]
+        return BetaEstimate("rigid: nothing was dented", value=0.0, dented_m=dented_m)
     if fit.rigid:
-        return _rigid(touched, options) if as_thesis else BetaEstimate("rigid: no dent to fit")
-    ball, thickness_m = _ball(touched, fit, arm, options.tip_radius_m), surface.layer.thickness_m
+        return BetaEstimate("rigid: no dent to fit")
     if options.beta_model == "thesis":
-        return _swept(touched, ball, surface, options)
-    if thickness_m is None:
+        under = touch_surface(touched, fit, surface, arm, options)
+        swept = thesis_beta(under.dent, step=options.thesis.beta_step)
+        return BetaEstimate(
+            f"thesis: {swept.note}",
+            value=swept.beta,
+            simulated_m=swept.simulated_m,
+            dented_m=under.dent.dented_m,
+            surface=under,
+            curve=swept.curve,
+        )
+    if surface.layer.thickness_m is None:
         return BetaEstimate("not fitted: the foam's thickness is not known")
-    found = fit_touch(surface.process, touched.after_m, ball, thickness_m=thickness_m)
+    ball = _ball(touched, fit, arm, options.tip_radius_m)
+    found = fit_touch(surface.process, touched.after_m, ball, thickness_m=surface.layer.thickness_m)
     made = BetaEstimate(
         found.estimate.verdict,
         value=found.estimate.value,
@@ -71,24 +86,21 @@ def fit_beta(
     )
     if not as_thesis:
         return made
-    under = _under(touched, ball, surface, options.thesis.beta_grid_m)
+    under = touch_surface(touched, fit, surface, arm, options)
     return dataclasses.replace(made, dented_m=under.dent.dented_m, surface=under)
 
 
 def touch_surface(
     touched: TouchMeasurement, fit: ContactFit, surface: SeenSurface, arm: ArmCompliance, options: ExploreOptions
 ) -> TouchSurface:
-    """The surface under a touch that is not rigid, if `fit_beta` did not compute it."""
-    return _under(touched, _ball(touched, fit, arm, options.tip_radius_m), surface, options.thesis.beta_grid_m)
-
-
-def _rigid(touched: TouchMeasurement, options: ExploreOptions) -> BetaEstimate:
-    """Nothing moved, so every beta fits: the first of the sweep, where the tip was."""
-    radius = options.tip_radius_m
-    grid = MapGrid((4.0 * radius, 4.0 * radius), options.cell_m)
-    under = np.linalg.norm(grid.centres_m - 2.0 * radius, axis=1) <= radius
-    dented_m = touched.xy_m - 2.0 * radius + grid.centres_m[under]
-    return BetaEstimate("rigid: nothing was dented", value=0.0, dented_m=dented_m)
+    """The surface under a touch that is not rigid, and the dent as in the thesis: from the touch surface's own process,
+    with virtual points where the ball is."""
+    ball = _ball(touched, fit, arm, options.tip_radius_m)
+    tactile = tactile_points(ball.lowest_m, ball.radius_m, ball.depth_m, normal=touched.normal)
+    near = np.abs(touched.after_m[:, :2] - touched.xy_m).max(axis=1) < THESIS_ROI_M
+    pressed = fit_surface(touched.after_m[near], known_m=tactile, known_noise_m=np.full(len(tactile), TACTILE_NOISE_M))
+    dent = dent_of(surface.process, pressed, touched.xy_m, options.thesis.beta_grid_m)
+    return TouchSurface(dent, tactile, pressed.learned)
 
 
 def _ball(touched: TouchMeasurement, fit: ContactFit, arm: ArmCompliance, radius_m: float) -> BallContact:
@@ -101,25 +113,3 @@ def _ball(touched: TouchMeasurement, fit: ContactFit, arm: ArmCompliance, radius
         depth_m=fit.dent_m(fit.peak_force_n),
         force_n=fit.peak_force_n,
     )
-
-
-def _swept(touched: TouchMeasurement, ball: BallContact, surface: SeenSurface, options: ExploreOptions) -> BetaEstimate:
-    """By the thesis's sweep."""
-    under = _under(touched, ball, surface, options.thesis.beta_grid_m)
-    swept = thesis_beta(under.dent, step=options.thesis.beta_step)
-    return BetaEstimate(
-        f"thesis: {swept.note}",
-        value=swept.beta,
-        simulated_m=swept.simulated_m,
-        dented_m=under.dent.dented_m,
-        surface=under,
-        curve=swept.curve,
-    )
-
-
-def _under(touched: TouchMeasurement, ball: BallContact, surface: SeenSurface, cell_m: float) -> TouchSurface:
-    """The dent as in the thesis: the touch surface's own process, with virtual points where the ball is."""
-    tactile = tactile_points(ball.lowest_m, ball.radius_m, ball.depth_m, normal=touched.normal)
-    near = np.abs(touched.after_m[:, :2] - touched.xy_m).max(axis=1) < THESIS_ROI_M
-    pressed = fit_surface(touched.after_m[near], known_m=tactile, known_noise_m=np.full(len(tactile), TACTILE_NOISE_M))
-    return TouchSurface(dent_of(surface.process, pressed, touched.xy_m, cell_m), tactile, pressed.learned)

@@ -172,8 +172,8 @@ class ExplorationStages:
         began = time.perf_counter()
         made = self.geometry.touch(touched)
         self._no_way.clear()  # from here there may be one
-        after = self.explorer.touch(made, lambda: self.geometry.dent(touched))
-        every = (after.estimate, after.perception, made.force_pose, after.maps, after.inclusions)
+        estimate, perception, maps, inclusions = self.explorer.touch(made, lambda: self.geometry.dent(touched))
+        every = (estimate, perception, made.force_pose, maps, inclusions)
         release_memory()  # of a process of its own, or on a simulated clock: nothing waits for it
         return self._computed(tuple(one for one in every if one is not None), began)
 
@@ -198,17 +198,6 @@ def _present(result: StageResult | None) -> tuple[StageResult, ...]:
 def _near(grid: MapGrid, xy_m: FloatArray) -> BoolArray:
     """(rows, columns) within VETO_M of a place (2,) [m]."""
     return np.asarray(np.hypot(*(grid.centres_m - xy_m).T) < VETO_M).reshape(grid.shape)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class AfterTouch:
-    """Results after a touch. estimate: estimate of the touch; maps: maps after the touch, None if it gave none;
-    inclusions: None also if inclusions are not sought; perception: perception of the touch, None unless requested"""
-
-    estimate: TouchEstimate
-    maps: MapEstimate | None
-    inclusions: InclusionsResult | None
-    perception: TouchPerception | None = None
 
 
 class UnseenSurface:
@@ -348,8 +337,10 @@ class Explorer:
 
     def touch(
         self, touched: TouchMeasurement, dent: Callable[[], tuple[FloatArray, SeenPixels | None]] | None = None
-    ) -> AfterTouch:
-        """Add a touch, and update the map. dent: computes its `after_m` and `pixels`, if they are not known yet"""
+    ) -> tuple[TouchEstimate, TouchPerception | None, MapEstimate | None, InclusionsResult | None]:
+        """Add a touch, and update the map; returns its estimate, its perception, and the maps and inclusions after it.
+
+        dent: computes its `after_m` and `pixels`, if they are not known yet"""
         self._touch = len(self.touches) + 1
         if dent is not None and (seen := self._stage("dent", dent)) is not None:
             touched = dataclasses.replace(touched, after_m=seen[0], pixels=seen[1])
@@ -373,7 +364,9 @@ class Explorer:
         else:
             self.search = search
         estimate = self._estimate(approach, contact, creep)
-        self._off_seen_m = max(self._off_seen_m, touch_fit.off_seen_m(approach, estimate, self.options.tip_radius_m))
+        began_m = float((approach.position_m[0] - estimate.xyz_m) @ estimate.normal)
+        off_m = abs(began_m - estimate.contact_m - self.options.tip_radius_m)  # NaN without a contact
+        self._off_seen_m = max(self._off_seen_m, off_m if np.isfinite(off_m) else float("inf"))
         self.touches.append(estimate)
         maps = None if search is None else self._stage("maps", self._maps)
         self._without_map = self._without_map + 1 if maps is None else 0
@@ -381,7 +374,7 @@ class Explorer:
             self.maps, self.region_probability = maps, self.region_map.probability
         truth_m = None if self._truth is None else self._truth.lumps_m
         found = None if search is None else self._stage("lumps", lambda: self.search.inclusions(truth_m))
-        return AfterTouch(estimate, maps, found, self._perception(touched, contact, sample))
+        return estimate, self._perception(touched, contact, sample), maps, found
 
     def _perception(
         self, touched: TouchMeasurement, contact: touch_fit.TouchContact | None, sample: StiffnessSample | None
@@ -416,7 +409,8 @@ class Explorer:
         if not contact.fit.rigid:
             shift = self.surface.shift(touched.xy_m, float(np.exp(stiffness.log_stiffness)))
         if shift is not None:
-            stiffness, contact = touch_fit.levelled(stiffness, shift), contact.on_level_layer(shift, self.surface)
+            stiffness, level, modulus = self.surface.levelled(stiffness, contact.fit, shift)
+            contact = dataclasses.replace(contact, level_n_per_mm=level, modulus=modulus)
         return contact, stiffness
 
     def _estimate(

@@ -16,9 +16,10 @@ from deformscope.stages.map.exploration import MapEstimate, SurfaceEstimate
 from deformscope.stages.map.measured import SurfaceMeasurement
 from deformscope.stages.map.perception import LookPerception
 from deformscope.stages.map.surface import HeightMap, HeightProcess, fit_surface
+from deformscope.stages.poke.contact import Z_90, ContactFit
 from deformscope.stages.poke.layer_seen import KnownLayer, LayerModulus, known_layer, modulus_of
 from deformscope.stages.poke.local_shape import LocalShape, ShapeShift, shape_of, shape_shift
-from deformscope.stages.regions.touches import MapGrid
+from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 from deformscope.stages.see.pixel_labels import SeenPixels
 
 CORRIDOR_M, SURE_SD = 0.02, 3.0
@@ -130,6 +131,18 @@ class SeenSurface:
             return None
         depth_m = 1e-3 * options.set_force_n / n_per_mm
         return shape_shift(shape, depth_m, reference_m=thickness_m, radius_m=options.tip_radius_m)
+
+    def levelled(
+        self, sample: StiffnessSample, fit: ContactFit, shift: ShapeShift
+    ) -> tuple[StiffnessSample, float, LayerModulus | None]:
+        """A touch converted to a level, wide layer of the stated thickness: its sample for the map, the stiffness of
+        its contact [N/mm], and the layer's modulus."""
+        exponent = None if sample.exponent is None else sample.exponent + shift.exponent
+        log_stiffness, log_sd = sample.log_stiffness + shift.log, float(np.hypot(sample.log_sd, shift.sd))
+        sample = dataclasses.replace(sample, log_stiffness=log_stiffness, log_sd=log_sd, exponent=exponent)
+        log_level, own_sd = fit.log_stiffness + shift.log, float(np.hypot(fit.own_log_sd, shift.sd))
+        level, low, high = (float(np.exp(log_level + sds * own_sd)) for sds in (0.0, -Z_90, Z_90))
+        return sample, level, self.modulus(level, (low, high))
 
     def modulus(self, n_per_mm: float, interval: tuple[float, float]) -> LayerModulus | None:
         """Modulus of the level layer, from its stiffness at the set force; None if its thickness is unknown."""

@@ -3,7 +3,6 @@ made."""
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +19,6 @@ from deformscope.stages.poke.contact import Z_90, ArmCompliance, ContactFit, fit
 from deformscope.stages.poke.creep import CreepFit, fit_creep
 from deformscope.stages.poke.layer_seen import LayerModulus, modulus_of
 from deformscope.stages.poke.local_shape import LocalShape, ShapeShift
-from deformscope.stages.regions.touches import StiffnessSample
 
 NEAR_M = 0.08
 """Points within this of a touch are shown with it."""
@@ -41,19 +39,13 @@ class TouchContact:
     speed_m_s: float | None
     level_n_per_mm: float | None = None
 
-    def on_level_layer(self, shift: ShapeShift, surface: SeenSurface) -> TouchContact:
-        """The contact with the stiffness and the modulus of the level layer."""
-        log_level = self.fit.log_stiffness + shift.log
-        log_sd = float(np.hypot(self.fit.own_log_sd, shift.sd))
-        level, low, high = (float(np.exp(log_level + sds * log_sd)) for sds in (0.0, -Z_90, Z_90))
-        return dataclasses.replace(self, level_n_per_mm=level, modulus=surface.modulus(level, (low, high)))
-
 
 def fit_contact(
     touched: TouchMeasurement, surface: SeenSurface, search: SurfaceSearch, arm: ArmCompliance, gain_sd: float
 ) -> TouchContact:
     """The contact of a touch. gain_sd: as in `fit_approach`, with its errors"""
-    options = surface.options
+    options, along = surface.options, _along(touched)
+    peak = int(np.argmax(_force_along(touched)))
     fit = fit_approach(
         touched.time_s,
         touched.position_m,
@@ -65,7 +57,7 @@ def fit_contact(
         exponent_sd=search.exponent_sd,
         least_share=search.least_share,
     )
-    modulus = None
+    law_n, modulus = fitted_law(fit, arm, along), None
     if not fit.rigid and fit.depth_m > 0.0:
         force = min(fit.at_force_n, fit.peak_force_n)
         dent_m, (low, high) = fit.dent_m(force), fit.interval_n_per_mm
@@ -74,16 +66,10 @@ def fit_contact(
         radius_m = options.tip_radius_m
         modulus = modulus_of(surface.layer, stiffness, ends, force_n=force, radius_m=radius_m, dent_m=dent_m)
     # speed of the tip from contact to the peak of the force
-    along = _along(touched)
-    until = int(np.argmax(_force_along(touched)))
-    since = min(int(np.searchsorted(np.maximum.accumulate(along), fit.contact_m)), max(until - 1, 0))
-    taken_s = float(touched.time_s[until] - touched.time_s[since])
-    return TouchContact(
-        fit=fit,
-        law_n=fitted_law(fit, arm, along),
-        modulus=modulus,
-        speed_m_s=float(along[until] - along[since]) / taken_s if taken_s > 0.0 else None,
-    )
+    began = min(int(np.searchsorted(np.maximum.accumulate(along), fit.contact_m)), max(peak - 1, 0))
+    taken_s = float(touched.time_s[peak] - touched.time_s[began])
+    speed_m_s = float(along[peak] - along[began]) / taken_s if taken_s > 0.0 else None
+    return TouchContact(fit, law_n, modulus, speed_m_s)
 
 
 def fit_touch_creep(touched: TouchMeasurement, surface: SeenSurface, arm: ArmCompliance) -> CreepFit | None:
@@ -101,16 +87,6 @@ def fit_touch_creep(touched: TouchMeasurement, surface: SeenSurface, arm: ArmCom
         arm=arm,
         radius_m=surface.options.tip_radius_m,
         clock_sd_s=CLOCK_SD_S,
-    )
-
-
-def levelled(felt: StiffnessSample, shift: ShapeShift) -> StiffnessSample:
-    """The touch converted to a level, wide layer of the stated thickness."""
-    return dataclasses.replace(
-        felt,
-        log_stiffness=felt.log_stiffness + shift.log,
-        log_sd=float(np.hypot(felt.log_sd, shift.sd)),
-        exponent=None if felt.exponent is None else felt.exponent + shift.exponent,
     )
 
 
@@ -159,14 +135,6 @@ def touch_estimate(
         level_n_per_mm=None if contact is None else contact.level_n_per_mm,
         speed_m_s=None if contact is None else contact.speed_m_s,
     )
-
-
-def off_seen_m(touched: TouchMeasurement, estimate: TouchEstimate, tip_radius_m: float) -> float:
-    """Distance along the normal from the observed surface to a touch's contact [m]; infinite without a contact."""
-    if not np.isfinite(estimate.contact_m):
-        return float("inf")
-    began_m = float((touched.position_m[0] - estimate.xyz_m) @ estimate.normal)
-    return abs(began_m - estimate.contact_m - tip_radius_m)
 
 
 def _along(touched: TouchMeasurement) -> FloatArray:

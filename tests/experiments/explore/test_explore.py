@@ -148,7 +148,7 @@ def test_a_dent_that_was_pressed_on_is_as_deep_as_at_its_last_force() -> None:
     explorer = unseen.look(SurfaceMeasurement(np.column_stack([places, np.full(500, 0.05)]), np.full(500, 1e-3)))
     up, none = np.array([0.0, 0.0, 1.0]), np.zeros((0, 3))
     touched = TouchMeasurement(np.array([0.2, 0.2]), up, np.arange(230) * 0.01, position, along, none, True)
-    told = explorer.touch(touched).estimate
+    told, *_ = explorer.touch(touched)
     assert told.stiffness_n_per_mm == pytest.approx(3.0 / 1.8, rel=0.02)  # at the set force
     assert told.peak_force_n == pytest.approx(5.0, rel=0.01)
     assert told.depth_m == pytest.approx(0.0018 * (5.0 / 3.0) ** (1.0 / 1.5), rel=0.02)
@@ -557,7 +557,7 @@ def test_touches_1_cm_from_the_edge_make_no_regions(capsys: pytest.CaptureFixtur
         robot = LabRobot(scene, options, sees=False, errors=LabErrors())
         explorer = UnseenSurface(scene.size_m, options, robot.arm).look(robot.look())
         geometry = AsMeasured(scene.size_m)
-        touches = [explorer.touch(robot.touch(explorer.approached(one, geometry))).estimate for one in places]
+        touches = [explorer.touch(robot.touch(explorer.approached(one, geometry)))[0] for one in places]
         felt = np.log([one.stiffness_n_per_mm for one in touches])
         level = np.log([one.level_n_per_mm or np.nan for one in touches])
         apart.append([one[:4].mean() - one[4:].mean() for one in (level, felt)])

@@ -62,11 +62,11 @@ def test_where_no_table_is_seen_there_is_a_stiffness_but_no_modulus_and_no_beta_
     ]
     made = robot.touch(explorers[0].approached(np.array([0.3, 0.2]), AsMeasured(scene.size_m)))
     after = [explorer.touch(made) for explorer in explorers]
-    known, unknown = (one.estimate for one in after)
+    known, unknown = (estimate for estimate, *_ in after)
     assert known.stiffness_n_per_mm == pytest.approx(unknown.stiffness_n_per_mm)
     assert known.modulus_pa == pytest.approx(scene.pieces[0].modulus_pa, rel=0.15)
     assert known.modulus_interval_pa is not None
     assert (unknown.modulus_pa, unknown.modulus_interval_pa) == (None, None)
     assert unknown.beta is None
     assert "thickness is not known" in unknown.beta_verdict
-    assert [one.maps is not None and one.maps.level_modulus_pa is None for one in after] == [False, True]
+    assert [maps is not None and maps.level_modulus_pa is None for _, _, maps, _ in after] == [False, True]
