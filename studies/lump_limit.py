@@ -33,7 +33,7 @@ def limit(scatter_sd: float, *, lumps: int = 40, seed: int = 0, exponent: bool =
     need = float(np.log(PLACES * FOUND / (1.0 - FOUND)))
     shares = []
     for number in range(seed, seed + lumps):
-        x, y, radius_m, depth_m = built_in("buried", number).lumps_m[0]
+        x, y, radius_m, depth_m = built_in("buried", number).inclusions_m[0]
         one = InclusionHypotheses(
             *(np.array([part]) for part in ((x, y), radius_m, depth_m, contrast_share(TIMES), 1.0))
         )

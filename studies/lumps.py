@@ -121,7 +121,7 @@ def seek(case: LumpCase) -> LumpOutcome:
         stages = ExplorationStages(unseen, AsMeasured(scene.size_m, robot.reachable))
         heard = _HeardLumps()
         explore_at_once(robot, stages, heard)
-    truth = tuple(map(float, scene.lumps_m[0])) if len(scene.lumps_m) else None
+    truth = tuple(map(float, scene.inclusions_m[0])) if len(scene.inclusions_m) else None
     foam_sd = robot.errors.scatter_sd
     return _outcome(case, truth, foam_sd, heard, stages.explorer, time.perf_counter() - began)  # type: ignore[arg-type]
 

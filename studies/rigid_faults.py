@@ -119,7 +119,7 @@ def run_rigid(seed: int) -> RigidRun:
         clock,
         T_base_surface=T_BASE_SURFACE,
         arm_stiffness_n_m=stiffness_n_m,
-        as_felt=lambda load_n, time_s: wrong["felt"](load_n),
+        sensed=lambda load_n, time_s: wrong["felt"](load_n),
         arm=arm,
         seed=seed,
     )

@@ -243,11 +243,11 @@ class SetupGeometry:
         loading = held = None
         if used.held_ns is not None:
             loading, held = len(used.arm_ns), int(np.searchsorted(1e9 * time_s, used.seen_ns, side="right"))
-        felt = None
+        poses_and_forces = None
         if options.perception and forces_n:
             states = np.unique(np.concatenate([used.arm_ns, used.pose_ns, [used.end_ns]]))
             T = self.placement.T_surface_center(np.array([data.arm[int(when)].T_base_ee for when in states]))
-            felt = force_pose(used.wrench_ns, np.array(forces_n), states, T)
+            poses_and_forces = force_pose(used.wrench_ns, np.array(forces_n), states, T)
         return TouchMeasurement(
             xy_m=used.xy_m,
             normal=used.normal,
@@ -259,7 +259,7 @@ class SetupGeometry:
             seen_ns=used.seen_ns,
             loading=loading,
             held=held,
-            force_pose=felt,
+            force_pose=poses_and_forces,
         )
 
     def dent(self, touched: Touched, look: LookFrames, options: ExploreOptions) -> tuple[FloatArray, SeenPixels | None]:

@@ -66,8 +66,8 @@ class ArmContact:
         self._deflection_m = 0.0
         self._slope = -1.0
         self._direction = np.array([0.0, 0.0, 1.0])
-        self._felt_n: FloatArray = np.zeros(3)
-        self._before_n, self._felt_ns, self._goes_on = self._felt_n, 0, goes_on
+        self._load_n: FloatArray = np.zeros(3)
+        self._before_n, self._load_ns, self._goes_on = self._load_n, 0, goes_on
         self._hit: tuple[int, int, FloatArray] | None = None
 
     @property
@@ -79,8 +79,8 @@ class ArmContact:
         """Compute the contact at the arm's new pose, once in each of its cycles."""
         T = self._kinematic()
         self.force_n = self._contact(T[:3, 3])
-        self._before_n, self._felt_ns = self._felt_n, self._clock()
-        self._felt_n = -T[:3, :3].T @ (self.force_n + self.finger_n)
+        self._before_n, self._load_ns = self._load_n, self._clock()
+        self._load_n = -T[:3, :3].T @ (self.force_n + self.finger_n)
         self.max_force_n = max(self.max_force_n, float(np.linalg.norm(self.force_n)))
         pushed = self._placement.to_base(self.force_n + self.finger_n)
         if np.any(pushed):
@@ -91,15 +91,15 @@ class ArmContact:
 
     def load(self, time_s: float) -> FloatArray:
         """(3,) force on a force sensor in the tip, in the tip's frame [N]."""
-        felt_n = self._felt_n
-        if self._goes_on and np.any(felt_n) and np.any(self._before_n):
-            since = np.clip((time_s * 1e9 - self._felt_ns) / ARM_CYCLE_NS, 0.0, 1.0)
-            felt_n = felt_n + since * (felt_n - self._before_n)
+        load_n = self._load_n
+        if self._goes_on and np.any(load_n) and np.any(self._before_n):
+            since = np.clip((time_s * 1e9 - self._load_ns) / ARM_CYCLE_NS, 0.0, 1.0)
+            load_n = load_n + since * (load_n - self._before_n)
         if self._hit is not None:
             begin_ns, end_ns, force_n = self._hit
             if begin_ns <= time_s * 1e9 < end_ns:
-                return np.asarray(felt_n - self._kinematic()[:3, :3].T @ force_n)
-        return felt_n
+                return np.asarray(load_n - self._kinematic()[:3, :3].T @ force_n)
+        return load_n
 
     def hit(self, force_n: npt.ArrayLike, duration_s: float) -> None:
         """From now on another object pushes the tip with this force (3,) [N] in the surface frame."""

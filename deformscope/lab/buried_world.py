@@ -72,7 +72,7 @@ class BallCompliance:
     def __init__(self, scene: Scene, ball: BuriedBall) -> None:
         half = AROUND * ball.radius_m
         self.x_m, self.y_m = (
-            np.array(_beside(middle, half, side)) for middle, side in zip(ball.centre_m, scene.size_m, strict=True)
+            np.array(_borders(middle, half, side)) for middle, side in zip(ball.centre_m, scene.size_m, strict=True)
         )
         bottom = scene.thickness_m - ball.depth_m - 2.0 * ball.radius_m
         # (n,) element borders along z [m]: even from the surface to below the ball, farther apart below.
@@ -128,7 +128,7 @@ def _surface_compliance(
     return np.asarray(cho_solve(cho_factor(0.5 * (left + left.T)), np.eye(len(last))))
 
 
-def _beside(middle: float, half: float, side: float) -> FloatArray:
+def _borders(middle: float, half: float, side: float) -> FloatArray:
     """(n,) element borders along one axis of the slab [m]: even around the middle, farther apart beyond."""
     count = int(np.ceil(half / ELEMENT_M))
     outer, step = [count * ELEMENT_M], ELEMENT_M
@@ -136,5 +136,5 @@ def _beside(middle: float, half: float, side: float) -> FloatArray:
         step *= GROWTH
         outer.append(outer[-1] + step)
     every = middle + np.concatenate([-np.array(outer[:0:-1]), np.arange(-count, count + 1) * ELEMENT_M, outer[1:]])
-    kept = every[(every > 0.4 * ELEMENT_M) & (every < side - 0.4 * ELEMENT_M)]
-    return np.concatenate([[0.0], kept, [side]])
+    inner = every[(every > 0.4 * ELEMENT_M) & (every < side - 0.4 * ELEMENT_M)]
+    return np.concatenate([[0.0], inner, [side]])

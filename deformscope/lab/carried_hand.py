@@ -171,11 +171,11 @@ class StandingContainer(SqueezedContainer):
             self._gripped = hand
         return super().reach_deg(position_deg, wanted_deg, current_a, step_s)
 
-    def _felt(self, time_s: float) -> list[npt.NDArray[np.float64]]:
+    def _pressures(self, time_s: float) -> list[npt.NDArray[np.float64]]:
         if self._gripped is None:  # what was pressed before is no longer
             pads = [np.zeros((matrix.cells_y, matrix.cells_x)) for matrix in self.pads.matrices]
         else:
-            pads = super()._felt(time_s)
+            pads = super()._pressures(time_s)
         for finger, force_n in enumerate(self.injected_n):
             pads[Pad(finger, Part.DISTAL).matrix][:3] += force_n / (3 * pads[1].shape[1] * TEXEL_M2)
         return pads

@@ -108,20 +108,20 @@ class _Memory:
         self._branch_n: FloatArray = np.zeros((len(self._share), len(patch.candidate_m)))
         self._next_n: FloatArray | None = None
         self._keeps = relaxation.keeps
-        self._deepest_m, self._kept_m, self._kept_n = (np.zeros(len(patch.candidate_m)) for _ in range(3))
+        self._deepest_m, self._set_m, self._set_n = (np.zeros(len(patch.candidate_m)) for _ in range(3))
         self._compliance = cho_factor(patch.compliance) if self._keeps else None
 
     def press(self, overlap: FloatArray, step_s: float) -> tuple[FloatArray, FloatArray]:
         """(n,) forces after a step [N], and (n,) the elastic ones that move the surface as much."""
         stiff, known_n, _, _ = self._law(step_s)
-        over = overlap - self._kept_m + self.patch.compliance @ known_n / stiff
+        over = overlap - self._set_m + self.patch.compliance @ known_n / stiff
         force_n = self.patch.push_out(over, 1.0 / stiff)
         self._next_n = (force_n - known_n) / stiff
         return force_n, self.moves_n(self._next_n)
 
     def moves_n(self, elastic_n: FloatArray) -> FloatArray:
         """(n,) the forces that would move elastic foam equally, with its permanent set [N]."""
-        return elastic_n + self._kept_n
+        return elastic_n + self._set_n
 
     def settle(self, step_s: float) -> None:
         """The step happens as it was pressed last, or with nothing on the foam."""
@@ -130,9 +130,9 @@ class _Memory:
         self._branch_n = left[:, None] * self._branch_n + (self._share * even)[:, None] * (next_n - self._elastic_n)
         self._elastic_n, self._next_n = next_n, None
         if self._compliance is not None:
-            self._deepest_m = np.maximum(self._deepest_m, self.patch.compliance @ next_n + self._kept_m)
-            self._kept_m = self._keeps * self._deepest_m
-            self._kept_n = cho_solve(self._compliance, self._kept_m)
+            self._deepest_m = np.maximum(self._deepest_m, self.patch.compliance @ next_n + self._set_m)
+            self._set_m = self._keeps * self._deepest_m
+            self._set_n = cho_solve(self._compliance, self._set_m)
 
     def untouched_n(self, step_s: float) -> FloatArray:
         """(n,) the elastic forces after a step with nothing on the foam [N]."""

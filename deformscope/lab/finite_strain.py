@@ -169,7 +169,7 @@ class _Half(LargeStrain):
         near = 1e-9 * block.height_m
         place = self.basis.doflocs
         axis = np.zeros(self.basis.N, dtype=int)
-        axis[1::2] = 1  # both displacements of a node stand beside each other
+        axis[1::2] = 1  # both displacements of a node are next to each other
         self.axis = axis
         bottom = place[1] < near
         self.clamped = (place[1] > block.height_m - near) & (place[0] < 0.5 * clamp_m + near)

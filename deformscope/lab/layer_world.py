@@ -51,9 +51,9 @@ class LayerWorld:
         normal = scene.normal(center[:2])
         foot = np.append(center[:2], scene.foam_height_m(center[:2]))
         depth = self._radius_m - float((center - foot) @ normal)
-        beside = bool(((center[:2] < 0.0) | (center[:2] > scene.size_m)).any())
+        outside = bool(((center[:2] < 0.0) | (center[:2] > scene.size_m)).any())
         table_n = RIGID_N_PER_M * max(0.0, self._radius_m - float(center[2]))
-        if depth <= 0.0 or beside:
+        if depth <= 0.0 or outside:
             self.pressed = np.array([*center[:2], 0.0])
             return np.array([0.0, 0.0, table_n])
         modulus = float(np.exp(np.log(scene.modulus_pa(center[:2] + self._around_m)).mean()))

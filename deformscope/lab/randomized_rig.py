@@ -81,7 +81,7 @@ class RandomizedRig:
         gain = float(np.exp(GAIN_SD * random.standard_normal()))
         return cls(Placement(T, made), turn @ signs, camera, board, gain)
 
-    def felt(self, force_n: FloatArray, time_s: float) -> FloatArray:
+    def sensed(self, force_n: FloatArray, time_s: float) -> FloatArray:
         """(3,) output of the sensor for a force (3,) in the tip's frame [N]."""
         return np.asarray(self.force_gain * self.R_tip_force.T @ force_n)
 

@@ -92,7 +92,7 @@ class SceneLab:
             tool=tool,
             T_base_surface=T_BASE_SURFACE,
             arm_stiffness_n_m=self.drawn.arm_n_per_m,
-            as_felt=self.drawn.as_felt,
+            sensed=self.drawn.sensed,
             arm_config=JacoConfig(state_hz=100.0, linear_limit_m_s=travel_speed_m_s),
             view=self._see,
             camera_config=SyntheticDepthConfig(
@@ -127,7 +127,7 @@ class SceneLab:
             compliance_sd=ARM_DOUBT / ARM_STIFFNESS_N_M,
             calibrated={"camera to surface": True, "arm's compliance": True},
             simulated=True,
-            truth=Truth(self.scene.regions, self.scene.lumps_m),
+            truth=Truth(self.scene.regions, self.scene.inclusions_m),
             runs_itself=False,
             zeroed=True,
             true_force_n=lambda: self.lab.contact.max_force_n,

@@ -225,11 +225,11 @@ class Scene:
     def label(self, xy_m: FloatArray) -> IntArray:
         """Region (...,) of each place (..., 2); -1 outside the slab, and everywhere without regions."""
         xy_m = np.asarray(xy_m, dtype=np.float64)
-        beside = ((xy_m < 0.0) | (xy_m > self.size_m)).any(axis=-1)
+        outside = ((xy_m < 0.0) | (xy_m > self.size_m)).any(axis=-1)
         if not self.pieces:
-            return np.full(beside.shape, -1)
-        found = np.zeros(beside.shape, dtype=np.int64) if self._label is None else self._label(xy_m)
-        return np.where(beside, -1, found)
+            return np.full(outside.shape, -1)
+        found = np.zeros(outside.shape, dtype=np.int64) if self._label is None else self._label(xy_m)
+        return np.where(outside, -1, found)
 
     def modulus_pa(self, xy_m: FloatArray) -> FloatArray:
         """(...,) Young's modulus at places (..., 2) [Pa]; outside the slab, that of its nearest edge."""
@@ -241,8 +241,8 @@ class Scene:
     def height_m(self, xy_m: FloatArray) -> FloatArray:
         """(...,) height of the rest surface over the table [m]; 0 outside the slab."""
         xy_m = np.asarray(xy_m, dtype=np.float64)
-        beside = ((xy_m < 0.0) | (xy_m > self.size_m)).any(axis=-1)
-        return np.where(beside, 0.0, self.foam_height_m(xy_m))
+        outside = ((xy_m < 0.0) | (xy_m > self.size_m)).any(axis=-1)
+        return np.where(outside, 0.0, self.foam_height_m(xy_m))
 
     def foam_height_m(self, xy_m: FloatArray) -> FloatArray:
         """Height (...,) at places (..., 2) [m] as `height_m`, with the slab continued beyond its edges."""
@@ -269,7 +269,7 @@ class Scene:
         return np.stack(np.meshgrid(x, y), axis=-1)
 
     @property
-    def lumps_m(self) -> FloatArray:
+    def inclusions_m(self) -> FloatArray:
         """(n, 4) buried balls: x and y of each one's middle, its radius, and the depth of its uppermost point [m]."""
         ball = self.buried
         return np.zeros((0, 4)) if ball is None else np.array([[*ball.centre_m, ball.radius_m, ball.depth_m]])

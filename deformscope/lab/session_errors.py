@@ -107,11 +107,11 @@ class SessionErrors:
         """Ratio of measured to true force, at a time since the first touch [s]."""
         return self.gain + self.drift * time_s / TOUCHES_S
 
-    def as_felt(self, force_n: FloatArray, time_s: float) -> FloatArray:
+    def sensed(self, force_n: FloatArray, time_s: float) -> FloatArray:
         """(3,) output of the sensor for a force (3,) in the tip's frame [N]: its gain, without friction."""
         aside = np.array([np.cos(self.friction_rad), np.sin(self.friction_rad), 0.0])
-        felt = force_n + self.friction * float(np.linalg.norm(force_n)) * aside
-        return np.asarray(self.gain_at(time_s) * felt)
+        loaded_n = force_n + self.friction * float(np.linalg.norm(force_n)) * aside
+        return np.asarray(self.gain_at(time_s) * loaded_n)
 
     def slab(self, scene: Scene) -> Scene:
         """The slab with its true thickness, from which the true map is computed."""

@@ -103,12 +103,12 @@ def press(
         inside &= (points[:, i] >= axes[i][0]) & (points[:, i] <= axes[i][-1])
     displaced = np.zeros(points.shape)
     displaced[inside] = box.sample(moved, points[inside])
-    beside = np.abs(points[:, :2] - at)
+    offset = np.abs(points[:, :2] - at)
     if tip.half is not None:
-        touched = (beside <= np.asarray(half) + 1e-9).all(axis=1)
+        touched = (offset <= np.asarray(half) + 1e-9).all(axis=1)
     else:
         radius = float(tip.radius or 0.0)
-        away = np.linalg.norm(beside, axis=1)
+        away = np.linalg.norm(offset, axis=1)
         sunk = depth - radius + np.sqrt(np.maximum(radius**2 - away**2, 0.0))
         touched = (away < radius) & (sunk > 0.0) & (-displaced[:, 2] <= sunk * (1.0 + 1e-3) + 1e-9)
     return Dent(displaced, float(depth), float(load), touched)
@@ -169,8 +169,8 @@ def _graded(middle: float, half: float, fine: float, reach: float, side: float, 
         step *= GROWTH
     every = np.concatenate([-np.array(outer[:0:-1]), inner, outer[1:]]) + middle
     low, high = max(0.0, every[0]), min(side, every[-1])
-    kept = every[(every > low + 0.3 * fine) & (every < high - 0.3 * fine)]
-    return np.concatenate([[low], kept, [high]])
+    inner = every[(every > low + 0.3 * fine) & (every < high - 0.3 * fine)]
+    return np.concatenate([[low], inner, [high]])
 
 
 def _downward(thickness: float, fine: float) -> FloatArray:

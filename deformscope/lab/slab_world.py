@@ -178,8 +178,8 @@ class SlabWorld:
     def _patch(self, tip: RigidTip, xy_m: FloatArray, drift_m: FloatArray | float) -> Patch:
         """The latest mesh for a tip within a drift of a place, or else a new one made for just there."""
         xy_m = np.clip(np.asarray(xy_m, dtype=np.float64), 0.0, self.scene.size_m)
-        for kept, patch in reversed(self._patches):
-            if kept == tip and (np.abs(patch.xy_m - xy_m) <= drift_m + 1e-9).all():
+        for known, patch in reversed(self._patches):
+            if known == tip and (np.abs(patch.xy_m - xy_m) <= drift_m + 1e-9).all():
                 return patch
         fine = _fine_m(tip)
         self._patches = self._patches[-MOST_PATCHES + 1 :]  # before the next is made
@@ -208,7 +208,7 @@ class SlabWorld:
         table = np.array([0.0, 0.0, TABLE_N_PER_M * max(0.0, (tip.radius or 0.0) - float(center[2]))])
         side = np.linspace(-1.0, 1.0, 9)
         spots = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
-        # what is beside the slab counts where the slab ends
+        # what is next to the slab counts where the slab ends
         xy = np.clip(center[:2] + _half_m(tip) * spots, 0.0, self.scene.size_m)
         near = float(_overlap(tip, center, normal, np.column_stack([xy, self.scene.foam_height_m(xy)])).max())
         if near < -CLEAR_M:
@@ -315,8 +315,8 @@ def _spread(middle: float, half: float, fine: float, reach: float, side: float) 
         outer.append(outer[-1] + step)
     every = middle + np.concatenate([-np.array(outer[:0:-1]), np.arange(-count, count + 1) * fine, outer[1:]])
     low, high = max(0.0, float(every[0])), min(side, float(every[-1]))
-    kept = every[(every > low + 0.4 * fine) & (every < high - 0.4 * fine)]
-    return np.concatenate([[low], kept, [high]])
+    inner = every[(every > low + 0.4 * fine) & (every < high - 0.4 * fine)]
+    return np.concatenate([[low], inner, [high]])
 
 
 def _downward(thickness: float, fine: float) -> FloatArray:

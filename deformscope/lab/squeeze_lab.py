@@ -128,7 +128,10 @@ class SqueezedContainer:
         own = np.random.default_rng(0x19)  # the hand is always the same
         self._gain = drift * (1.0 + constants.TEXEL_GAIN_SD * own.standard_normal(self.world.pressure_pa.shape))
         self.pads = DsaDouble(
-            scene=self._felt, pa_per_count=constants.PA_PER_COUNT, noise_counts=constants.NOISE_COUNTS, seed=case.seed
+            scene=self._pressures,
+            pa_per_count=constants.PA_PER_COUNT,
+            noise_counts=constants.NOISE_COUNTS,
+            seed=case.seed,
         )
 
     def truth(self) -> ContainerTruth:
@@ -179,7 +182,7 @@ class SqueezedContainer:
             self._speeds.append((now_ns, float(turned[np.argmax(np.abs(turned))])))
         return [float(angle) for angle in reached]
 
-    def _felt(self, _: float) -> list[npt.NDArray[np.float64]]:
+    def _pressures(self, _: float) -> list[npt.NDArray[np.float64]]:
         """Pressures (rows, columns) on the six pads [Pa]."""
         pads: list[npt.NDArray[np.float64]] = [
             np.zeros((matrix.cells_y, matrix.cells_x)) for matrix in self.pads.matrices

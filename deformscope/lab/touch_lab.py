@@ -54,7 +54,7 @@ class TouchLab:
         tool: Tool | None = None,
         T_base_surface: npt.ArrayLike = T_BASE_SURFACE,
         arm_stiffness_n_m: float = ARM_STIFFNESS_N_M,
-        as_felt: Callable[[FloatArray, float], npt.NDArray[np.floating]] | None = None,
+        sensed: Callable[[FloatArray, float], npt.NDArray[np.floating]] | None = None,
         view: Callable[[float], View] | None = None,
         camera_config: SyntheticDepthConfig | None = None,
         arm_model: str = "j2n6s300",
@@ -67,7 +67,7 @@ class TouchLab:
     ) -> None:
         """arm_stiffness_n_m, goes_on: as in `ArmContact`
 
-        as_felt: output of the force sensor for a force on it (3,) [N] at a time [s]; default the same
+        sensed: output of the force sensor for a force on it (3,) [N] at a time [s]; default the same
 
         arm: any simulated arm, on `clock`, in place of a Jaco with arm_model and arm_config
 
@@ -90,7 +90,7 @@ class TouchLab:
         self.contact = ArmContact(
             world, self.body, self.placement, self.clock, arm_stiffness_n_m=arm_stiffness_n_m, goes_on=goes_on
         )
-        self._as_felt = as_felt
+        self._sensed = sensed
         sensors = Sensors(scene=self._load, sensitivity=OMD_20_SE_40N, seed=seed)
         self.sensor_double = OptoforceDouble(sensors)
         self.wire = SpoiledWire(self.sensor_double, self.clock, seed)
@@ -181,7 +181,7 @@ class TouchLab:
     def _load(self, time_s: float) -> FloatArray:
         """(3,) output of the force sensor for its load [N]."""
         load = self.contact.load(time_s)
-        return load if self._as_felt is None else np.asarray(self._as_felt(load, time_s), np.float64)
+        return load if self._sensed is None else np.asarray(self._sensed(load, time_s), np.float64)
 
     def push_tip(self, force_n: FloatArray) -> None:
         """From now on a finger pushes the tip, (3,) [N] in the surface frame."""

@@ -228,7 +228,7 @@ def log_estimate(rec: rr.RecordingStream, estimate: Estimate, canvas: Canvas) ->
     curve = estimate.curve
     chart = rr.EncodedImage(contents=evidence_png(estimate), media_type="image/png")
     rec.log("calibration/chart", chart, static=whole)
-    # No BarChart: its tensor keeps a viewer from opening a second recording of this kind beside the first.
+    # No BarChart: its tensor keeps a viewer from opening a second recording of this kind next to the first.
     known = np.isfinite(curve.aee)
     points = {estimate.parameter: curve.parameter[known], "aee": curve.aee[known]}
     rec.log("calibration/curve", rr.AnyValues(True, **points), static=whole)

@@ -66,5 +66,5 @@ def _joined(parts: list[pa.RecordBatch]) -> Chunk:
 
 
 def _without_order(column: pa.Field) -> pa.Field:
-    kept = {name: value for name, value in (column.metadata or {}).items() if name != b"rerun:is_sorted"}
-    return column.with_metadata(kept)
+    metadata = {name: value for name, value in (column.metadata or {}).items() if name != b"rerun:is_sorted"}
+    return column.with_metadata(metadata)

@@ -95,7 +95,7 @@ def _sparse(flow_px: FloatArray, canvas: Canvas) -> tuple[FloatArray, FloatArray
     height, width = flow_px.shape[:2]
     step_px = max(max(height, width) / ARROWS_ALONG, 4.0)
     if canvas.particles is not None:
-        # at the particles alone: beside the thing the flow is a guess, often a wild one
+        # at the particles alone: outside the thing the flow is a guess, often a wild one
         every = -(-len(canvas.particles) // ARROWS_ALONG**2)
         origin, step_px = canvas.particles[::every], max(canvas.spacing, 4.0)
     else:

@@ -92,8 +92,8 @@ def _measured(
         case WrenchFrame():
             forces_n = np.array([item.force_n[0] for item in items])
             known = np.isfinite(forces_n).all()
-            felt = forces_n if known else np.array([item.counts[:3] for item in items], np.float64)
-            change = np.linalg.norm(felt - np.median(felt[free], axis=0), axis=1)
+            signal = forces_n if known else np.array([item.counts[:3] for item in items], np.float64)
+            change = np.linalg.norm(signal - np.median(signal[free], axis=0), axis=1)
             return f"force, relative to the force before the contact [{'N' if known else 'counts'}]", change
         case TactileFrame():
             areas = [width * height for width, height in texels_m]

@@ -243,9 +243,11 @@ def add_measured(
     end = int(np.argmax(touch.approach_n)) + 1
     force_n = touch.approach_n[:end]
     dent_m = touch.approach_m[:end] - touch.contact_m - compliance_m_per_n * force_n
-    kept = np.flatnonzero(dent_m >= 0.0)
+    dented = np.flatnonzero(dent_m >= 0.0)
     shown = (
-        kept[np.unique(np.linspace(0, len(kept) - 1, min(CURVE_POINTS, len(kept))).astype(int))] if len(kept) else kept
+        dented[np.unique(np.linspace(0, len(dented) - 1, min(CURVE_POINTS, len(dented))).astype(int))]
+        if len(dented)
+        else dented
     )
     at_n, set_n = touch.stiffness_n_per_mm, curve.force_n[-1]
     low, high = set_n / curve.depth_high_mm[-1], set_n / curve.depth_low_mm[-1]

@@ -284,9 +284,9 @@ def draw_section(axes: Axes, touch: TouchEstimate) -> None:
     ):
         if not len(points):
             continue
-        beside = points - touch.xyz_m
-        height = beside @ touch.normal
-        away_cm, height_mm = np.linalg.norm(beside - height[:, None] * touch.normal, axis=1) * 100, height * 1e3
+        relative_m = points - touch.xyz_m
+        height = relative_m @ touch.normal
+        away_cm, height_mm = np.linalg.norm(relative_m - height[:, None] * touch.normal, axis=1) * 100, height * 1e3
         axes.plot(away_cm, height_mm, ".", color=color, ms=2.5 if name == "observed" else 5, alpha=0.3, mew=0)
         marked = {"marker": "o", "ms": 5, "mec": "white", "lw": 0} if name == "observed" else {"lw": 2}
         axes.plot(*_rings(away_cm, height_mm), color=color, label=f"{name}, mean", zorder=4, **marked)
@@ -337,10 +337,10 @@ def _rings(away_cm: FloatArray, height_mm: FloatArray) -> tuple[FloatArray, Floa
 def draw_region_comparison(axes: Axes, recorded: MapEstimate, other: MapEstimate, name: str) -> None:
     from matplotlib.lines import Line2D
 
-    beside = ((recorded, RECORDED, 4.0, "recorded"), (other, OTHER, 1.4, name))  # seen both, where they are the same
+    sides = ((recorded, RECORDED, 4.0, "recorded"), (other, OTHER, 1.4, name))  # seen both, where they are the same
     _say(axes, "", recorded.labels.shape, recorded.cell_m)
     handles = []
-    for maps, color, width, whose in beside:
+    for maps, color, width, whose in sides:
         _draw_outline(axes, maps.labels, maps.cell_m, hexadecimal(color), width)
         words = f"{whose}: {format_verdict(maps)} ({format_claim(maps.claimed)})"
         handles.append(Line2D([], [], color=hexadecimal(color), lw=width, label=words))
@@ -462,8 +462,8 @@ def _number_log_bar(bar: Colorbar, low: float, high: float) -> None:
     steps = (1.0, 2.0, 5.0) if high / low > 4 else (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
     powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
     ticks = [step * 10.0**power for power in powers for step in steps]
-    kept = [tick for tick in ticks if low * (1 - 1e-9) <= tick <= high * (1 + 1e-9)]
-    bar.ax.yaxis.set_major_locator(FixedLocator(kept))
+    within = [tick for tick in ticks if low * (1 - 1e-9) <= tick <= high * (1 + 1e-9)]
+    bar.ax.yaxis.set_major_locator(FixedLocator(within))
     bar.ax.yaxis.set_minor_locator(NullLocator())
     bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 

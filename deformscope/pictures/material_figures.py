@@ -105,9 +105,9 @@ def field_png(found: FieldEstimate) -> bytes:
                 axis.invert_yaxis()
             layer = "" if flat else f", z {height * side:.3g} {unit}"
             axis.set_title(title + layer if flat else layer.removeprefix(", "), fontsize=9)
-        beside = [grid.flat[number]] if flat else list(grid[:, number])
+        panels = [grid.flat[number]] if flat else list(grid[:, number])
         assert drawn is not None
-        figure.colorbar(drawn, ax=beside, label=title, extend="max" if "interval" in title else "neither")
+        figure.colorbar(drawn, ax=panels, label=title, extend="max" if "interval" in title else "neither")
     figure.suptitle(f"{found.verdict}: stiffest over softest {found.ratio:.3g}")
     return png_of(figure, 110)
 

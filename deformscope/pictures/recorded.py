@@ -46,7 +46,7 @@ def curves_png(
 
     figure = canvas(9.0, 0.9 + 1.75 * len(panels), layout="constrained")
     axes = figure.subplots(len(panels), 1, squeeze=False, sharex=True)[:, 0]
-    beside = -np.inf
+    label_at = -np.inf
     ends = [*phases, ("", max(float(one.at.max(initial=0.0)) for one in panels))]
     for panel, one in zip(axes, panels, strict=True):
         for at in range(one.values.shape[1]):
@@ -62,10 +62,10 @@ def curves_png(
         for at, ((name, start), (_, stop)) in enumerate(pairwise(ends)):
             panel.axvspan(start, stop, color=PHASES[at % 2], zorder=0, lw=0)
             if panel is axes[0]:
-                beside = max(start, beside + APART * ends[-1][1])
+                label_at = max(start, label_at + APART * ends[-1][1])
                 where = {"textcoords": DATA_AXES, "rotation": 90, "ha": "center", "va": "bottom", "fontsize": 8}
                 lead = {"arrowstyle": "-", "lw": 0.5, "shrinkA": 0, "shrinkB": 0}
-                panel.annotate(name, (start, 1.0), (beside, 1.1), DATA_AXES, arrowprops=lead, **where)
+                panel.annotate(name, (start, 1.0), (label_at, 1.1), DATA_AXES, arrowprops=lead, **where)
         for at, (name, when) in enumerate(events):
             panel.axvline(
                 when, color="black", ls=LINES[at % len(LINES)], lw=1.1, label=name * (panel is axes[-1]) or None

@@ -31,11 +31,11 @@ SEVERAL = 4
 
 def ledger_path(recording: Path) -> Path:
     """`run.rrd` has the ledger `run.rrd.ledger`; a link without a ledger has that of its target."""
-    beside = recording.with_name(recording.name + ".ledger")
-    if recording.is_symlink() and not beside.exists():
+    own = recording.with_name(recording.name + ".ledger")
+    if recording.is_symlink() and not own.exists():
         target = Path(os.path.realpath(recording))
         return target.with_name(target.name + ".ledger")
-    return beside
+    return own
 
 
 Losses = Mapping[str, Mapping[str, float]]

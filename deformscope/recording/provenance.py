@@ -77,8 +77,8 @@ def exported(properties: Mapping[str, object], *, anonymous: bool) -> dict[str, 
     found = {name: _parsed(value) for name, value in properties.items()}
     if not anonymous:
         return found
-    kept = {name: value for name, value in found.items() if name in ("format", "seed", "versions")}
-    return kept | {"settings": _numbers(found.get("settings"))}
+    public = {name: value for name, value in found.items() if name in ("format", "seed", "versions")}
+    return public | {"settings": _numbers(found.get("settings"))}
 
 
 def left_out(properties: Mapping[str, object]) -> dict[str, str]:
@@ -86,12 +86,12 @@ def left_out(properties: Mapping[str, object]) -> dict[str, str]:
     return dict(_differing("", exported(properties, anonymous=False), exported(properties, anonymous=True)))
 
 
-def _differing(place: str, whole: object, kept: object) -> Iterator[tuple[str, str]]:
+def _differing(place: str, whole: object, public: object) -> Iterator[tuple[str, str]]:
     if isinstance(whole, Mapping):
         for name, value in whole.items():
-            inner = kept.get(name) if isinstance(kept, Mapping) else None
+            inner = public.get(name) if isinstance(public, Mapping) else None
             yield from _differing(f"{place}.{name}".lstrip("."), value, inner)
-    elif whole != kept and whole not in (None, "", []):
+    elif whole != public and whole not in (None, "", []):
         yield place, whole if isinstance(whole, str) else json.dumps(whole)
 
 

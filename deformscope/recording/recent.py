@@ -87,16 +87,16 @@ class RecentItems:
 class WatchedRecorder:
     """A session's recorder whose view continues after an error of its file; the error is raised at the end.
 
-    watch: the view of the session; kept: records"""
+    watch: the view of the session; recording: records"""
 
-    def __init__(self, watch: Recorder, kept: Recorder) -> None:
-        self._watch, self._kept = watch, kept
+    def __init__(self, watch: Recorder, recording: Recorder) -> None:
+        self._watch, self._recording = watch, recording
         self._failure: RecordingError | None = None
         self._ending: threading.Thread | None = None
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:
-            stack.enter_context(self._kept)  # its name is taken before anything is opened
+            stack.enter_context(self._recording)  # its name is taken before anything is opened
             self._watch.__enter__()
             stack.pop_all()
         return self
@@ -105,7 +105,7 @@ class WatchedRecorder:
         try:
             if self._ending is not None:
                 self._ending.join()
-            self._kept.__exit__(kind)  # nothing where it has ended
+            self._recording.__exit__(kind)  # nothing where it has ended
         finally:
             self._watch.__exit__(kind, *raised)
         if kind is None and self._failure is not None:
@@ -113,7 +113,7 @@ class WatchedRecorder:
 
     def start(self, layout: RecordingLayout, start_ns: int, lossless: Collection[str] = ()) -> None:
         """See `Recorder.start`."""
-        for one in (self._watch, self._kept):
+        for one in (self._watch, self._recording):
             one.start(layout, start_ns, lossless)
 
     def write(self, items: object) -> None:
@@ -121,37 +121,37 @@ class WatchedRecorder:
         self._watch.write(items)
         if self._failure is None:
             try:
-                self._kept.write(items)
+                self._recording.write(items)
             except RecordingError as error:
                 self._failure = error
                 _logger.warning("the recording has ended, the view continues: %s", error)
-                self._ending = threading.Thread(target=self._kept.__exit__, args=(type(error),))
+                self._ending = threading.Thread(target=self._recording.__exit__, args=(type(error),))
                 self._ending.start()
 
     def stopped_because(self, reason: str) -> None:
         """See `Recorder.stopped_because`."""
-        for one in (self._watch, self._kept):
+        for one in (self._watch, self._recording):
             one.stopped_because(reason)
 
     def summary(self) -> RecordingSummary:
         """Summary of the stored items, and of those that the view lacks."""
-        return replace(self._kept.summary(), dropped=self._watch.summary().dropped)
+        return replace(self._recording.summary(), dropped=self._watch.summary().dropped)
 
 
 class LastRecorder(WatchedRecorder):
     """A session's recorder that shows the whole session and records its last seconds.
 
-    kept: recorder of the last seconds; it may wait, as all of them are written at once"""
+    recording: recorder of the last seconds; it may wait, as all of them are written at once"""
 
-    def __init__(self, watch: Recorder, kept: Recorder, recent: RecentItems) -> None:
-        super().__init__(watch, kept)
+    def __init__(self, watch: Recorder, recording: Recorder, recent: RecentItems) -> None:
+        super().__init__(watch, recording)
         self._recent = recent
         self._streams: tuple[Stream, ...] = ()
         self._lossless: Collection[str] = ()
 
     def __exit__(self, kind: type[BaseException] | None, *raised: object) -> None:
         try:
-            end_with_recent(self._kept, self._recent, self._streams, self._lossless, kind)
+            end_with_recent(self._recording, self._recent, self._streams, self._lossless, kind)
         finally:
             self._watch.__exit__(kind, *raised)
 
@@ -169,7 +169,7 @@ class LastRecorder(WatchedRecorder):
     def stopped_because(self, reason: str) -> None:
         """See `Recorder.stopped_because`."""
         self._watch.stopped_because(reason)
-        self._kept.stopped_because(f"{reason}; of it the last {self._recent.held_s:.1f} s")
+        self._recording.stopped_because(f"{reason}; of it the last {self._recent.held_s:.1f} s")
 
 
 def write_recent(

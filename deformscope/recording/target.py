@@ -60,7 +60,7 @@ class RecordingTarget:
         sync(whole)
         # Its bytes are hashed again below: what differs from the checksums made while it grew has to be known before.
         problems = check_recording(self.part).problems if whole == self.part else []
-        # An older recording's ledger goes first: a ledger that fits no recording must never stand beside one.
+        # An older recording's ledger goes first: a ledger that fits no recording must never be next to one.
         ledger_path(self.path).unlink(missing_ok=True)
         if whole == self.part:
             ledger_path(self.part).replace(ledger_path(self.path))  # its blocks are taken over

@@ -101,7 +101,7 @@ class Writer:
                     self._bytes -= size
                     self._done += job is not _nothing
                     self._changed.notify_all()
-                del job, entry  # what a job keeps alive is not kept while the next is waited for
+                del job, entry  # what a job keeps alive is freed while the next is waited for
         except Exception as error:
             with self._changed:
                 self.failure = self.failure or error

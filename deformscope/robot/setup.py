@@ -48,10 +48,10 @@ y = 0.4 m, and the far corners are 0.63 m from its axis."""
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
     """True properties of a simulated surface. labels: (rows, columns) region of each cell, None without regions;
-    lumps_m: (n, 4) balls below it: x and y of the middle, radius, depth of the uppermost point [m]"""
+    inclusions_m: (n, 4) balls below it: x and y of the middle, radius, depth of the uppermost point [m]"""
 
     labels: IntArray | None
-    lumps_m: FloatArray = field(default_factory=lambda: np.zeros((0, 4)))
+    inclusions_m: FloatArray = field(default_factory=lambda: np.zeros((0, 4)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -87,8 +87,8 @@ def home(config: HomeConfig) -> None:
         if not config.yes:
             _ask("The arm will now move to its home pose on its own path: is the way free? Type yes: ", asked)
         say("the arm goes home: Ctrl-C stops it")
-        with ThreadPoolExecutor(1, "home") as beside:
-            going = beside.submit(arm.home)
+        with ThreadPoolExecutor(1, "home") as worker:
+            going = worker.submit(arm.home)
             while not wait([going], POLL_S).done:
                 if asked.is_set() and not arm.stopped_because:
                     arm.halt(signal_word(asked.signal_number))
@@ -186,8 +186,8 @@ def _moved(
     with until_interrupted() as asked, recording as recorder, open_rig_run(setup.open_source(), recorder) as opened:
         watch = opened.watch(asked)
         robot = setup.robot(opened.source, lambda seen, verdict: watch())
-        with watch.halts(_Moved(robot)), ThreadPoolExecutor(1, "robot") as beside:
-            pool = beside if setup.runs_itself else Inline()
+        with watch.halts(_Moved(robot)), ThreadPoolExecutor(1, "robot") as worker:
+            pool = worker if setup.runs_itself else Inline()
             moving = pool.submit(_carried_out, config, setup, robot, work, leave_out, asked)
             while not moving.done():
                 recorder.write(opened.source.take(BATCH_S))

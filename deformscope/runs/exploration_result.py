@@ -72,7 +72,7 @@ class ExplorationResult(LibraryResult):
 
     feel: the mapped quantity; set_force_n, more_force_n: force of touches, and the larger one if that hardly dents,
     None = never
-    estimate: the maps, None if no touch gave any; lumps: result of the search for inclusions, None without one
+    estimate: the maps, None if no touch gave any; inclusions: result of the search for inclusions, None without one
     missed: detection limit, None before any plan; probability: probability of each number of regions; max_force_n:
     largest true force, in the laboratory; measured_max_force_n: largest force that the sensor measured
     seconds: durations of computing, of the slowest touch, by the robot's clock and on this computer
@@ -149,7 +149,7 @@ class ExplorationResult(LibraryResult):
     seconds: dict[str, float] = field(metadata=reported(unit="s"))
     supervisor_gaps_ms: dict[str, float] | None = field(metadata=reported())
     stop_reason: str = field(metadata=reported())
-    lumps: InclusionsResult | None = field(metadata=reported(key="inclusions"))
+    inclusions: InclusionsResult | None = field(metadata=reported(key="inclusions"))
     missed: DetectionLimit | None = field(metadata=reported())
     arm_stands: bool = field(metadata=reported())
     failures: tuple[StageFailure, ...] = field(metadata=reported())
@@ -176,7 +176,7 @@ class ExplorationResult(LibraryResult):
         """The maps drawn, empty without a map."""
         from deformscope.pictures.exploration import result_png
 
-        return b"" if self.estimate is None else result_png(self.estimate, self.scenario, self.lumps)
+        return b"" if self.estimate is None else result_png(self.estimate, self.scenario, self.inclusions)
 
     @property
     def stiffness_n_per_mm(self) -> FloatArray:
@@ -250,10 +250,10 @@ class ExplorationResult(LibraryResult):
             rows.append(("truth", f"{true}; IoU of map and truth {truth.iou:.3f}{off}"))
         elif truth is not None and not truth.region_count:
             rows.append(("truth", "no regions: the stiffness changes smoothly"))
-        if felt := [one.touch for one in self.touches if one.touch.beta is not None]:
-            rows.append(("beta", format_betas(felt)))
-        if self.lumps is not None:
-            rows += self.lumps.rows
+        if with_beta := [one.touch for one in self.touches if one.touch.beta is not None]:
+            rows.append(("beta", format_betas(with_beta)))
+        if self.inclusions is not None:
+            rows += self.inclusions.rows
         rows += self._missed_rows()
         rows += [("failed", messages.format_failure(one)) for one in self.failures]
         rows += [
@@ -290,7 +290,7 @@ class ExplorationResult(LibraryResult):
         wide = 200.0 * missed.untouched_m
         what = f"the largest circle without a touch is {wide:.0f} cm across, around ({x:.0f}, {y:.0f}) cm"
         rows = [("untouched", what)]
-        if self.lumps is None and (unseen := missed.inclusions):
+        if self.inclusions is None and (unseen := missed.inclusions):
             each = ", ".join(f"{one.probability:.2f} if {200.0 * one.radius_m:.3g} cm wide" for one in unseen)
             stated = f"assumed: {missed.contrast:g} times as stiff or as soft; {missed.prior:g} before any touch"
             words = f"probability {each} that one is there and no touch shows it; more touches lower it ({stated})"

@@ -216,9 +216,9 @@ def _run(
         if recorded is not None:
             ending.began_s, ending.largest_force_n = time.perf_counter(), recorded.largest_force_n
             recorded.asked = asked.is_set
-            with stage_executor(setup, options) as (beside, stage):
+            with stage_executor(setup, options) as (executor, stage):
                 experiment = _with_messages(explore(setup.clock, stage, found), run.line, 0)
-                run_session(run.source, experiment, run.recorded, recorded, beside)
+                run_session(run.source, experiment, run.recorded, recorded, executor)
             if found.stop is not None and found.stop.kind == AT_END:  # after a touch that gave no estimate
                 found.stop, found.stop_reason = None, AT_END
             while items := recorded.rest():
@@ -229,7 +229,7 @@ def _run(
         watch = run.watch(asked, page)
         with (
             touching_robot(setup, run.source, options, watch) as robot,
-            stage_executor(setup, options) as (beside, stage),
+            stage_executor(setup, options) as (executor, stage),
             render_process() if setup.runs_itself else nullcontext(),
         ):
             try:
@@ -241,7 +241,7 @@ def _run(
                     steered = page if planner is None else PlannedBy(planner, found)
                     explored = explore(setup.clock, stage, found, permit(robot, page), steered)
                     experiment = _with_messages(explored, run.line, options.budget, page)
-                    run_session(run.source, experiment, run.recorded, robot, beside)
+                    run_session(run.source, experiment, run.recorded, robot, executor)
             finally:
                 ending.arm_stopped, ending.gaps_s = watch.arm_stopped, robot.gaps_s
                 ending.largest_force_n = robot.largest_force_n
@@ -392,7 +392,7 @@ def _result(
         },
         supervisor_gaps_ms=_gaps_ms(ending.gaps_s),
         stop_reason=exploration.stop_reason,
-        lumps=exploration.lumps,
+        inclusions=exploration.inclusions,
         missed=exploration.missed,
         arm_stands=ending.arm_stopped,
         failures=tuple(exploration.failures),

@@ -127,8 +127,8 @@ def _unloading(settings: dict[str, object]) -> Rows:
         "force": "no force from this frame on",
         "given": "as named",
     }[str(cycle["source"])]
-    kept = f"{float(cycle['kept_share']):.0%} of the indentation is left"
-    return [("unloaded", f"from frame {cycle['unloaded_frame']} on, {kept} ({source})")]
+    left = f"{float(cycle['kept_share']):.0%} of the indentation is left"
+    return [("unloaded", f"from frame {cycle['unloaded_frame']} on, {left} ({source})")]
 
 
 def _field_rows(found: FieldEstimate) -> Rows:

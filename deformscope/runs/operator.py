@@ -90,7 +90,7 @@ def terminal_keys() -> Iterator[Keys]:
     if not at_terminal():
         raise InputError("a terminal, whose keys move the arm", "none", "run it in a terminal")
     descriptor = sys.stdin.fileno()
-    kept = termios.tcgetattr(descriptor)
+    before = termios.tcgetattr(descriptor)
 
     def pressed() -> str:
         if not select.select([descriptor], [], [], 0.0)[0]:
@@ -101,4 +101,4 @@ def terminal_keys() -> Iterator[Keys]:
         tty.setcbreak(descriptor)
         yield pressed
     finally:
-        termios.tcsetattr(descriptor, termios.TCSADRAIN, kept)
+        termios.tcsetattr(descriptor, termios.TCSADRAIN, before)

@@ -80,13 +80,13 @@ def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer
             from deformscope.page.playback import show_comparison
 
             show_comparison(page, recording, rows, again, geometry.size_m, _format_settings(changes))
-        return _beside(recorded, again, changes, path, page)
+        return _compared(recorded, again, changes, path, page)
     for fresh in (one for one in found.failures if one not in failed):
         raise Different("the recorded numbers", format_failure(fresh), where=path)
     cut_short = bool(recording.outcome.get("stopped"))
     compare(recorded, again, path, lambda before: TRUTH, cut_short=cut_short)
-    felt = [one for one in computed.results if isinstance(one, ForcePose)]
-    compare(read_series(path, ForcePose, trust=True), felt, path, what="series of force and pose", cut_short=cut_short)
+    poses = [one for one in computed.results if isinstance(one, ForcePose)]
+    compare(read_series(path, ForcePose, trust=True), poses, path, what="series of force and pose", cut_short=cut_short)
     start = "measurements" if measured else "depth images, forces and states of the arm"
     return ReplayResult(
         {"results": len(recorded), "identical": True, "failures": failed},
@@ -121,7 +121,7 @@ def _changes(words: Sequence[str], hints: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
-def _beside(
+def _compared(
     recorded: list[Any], again: list[Any], changes: dict[str, Any], path: Path, page: PageServer | None
 ) -> ReplayResult:
     """Results of other settings, with the recorded ones; the robot touched the recorded places."""
@@ -140,12 +140,12 @@ def _beside(
 
     before, now = rows(recorded), rows(again)
     changed = _format_settings(changes)
-    beside = [(name, f"{now.get(name, 'not computed')}; recorded: {before.get(name, 'none')}") for name in before | now]
+    shown = [(name, f"{now.get(name, 'not computed')}; recorded: {before.get(name, 'none')}") for name in before | now]
     if page is not None:  # the newest is above
-        for name, words in reversed(beside):
+        for name, words in reversed(shown):
             page.session.remark(f"{name}, with {changed}: {words}")
     found: Json = {"identical": None, "set": changes, "recorded": before, "computed": now}
-    return ReplayResult(found, (Table(beside, caption=f"{path} with {changed}"),))
+    return ReplayResult(found, (Table(shown, caption=f"{path} with {changed}"),))
 
 
 def _format_settings(changes: dict[str, Any]) -> str:

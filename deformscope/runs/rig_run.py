@@ -80,7 +80,7 @@ def run_rig(config: RigRunOptions, auto: Literal["none", "native"], *, always_re
     with (
         until_interrupted() as asked,
         _recorder(output, settings, rig, names, asked, recent, at_end=at_end) as recorder,
-        _processes(options.names) if options is not None else contextlib.nullcontext({}) as beside,
+        _processes(options.names) if options is not None else contextlib.nullcontext({}) as processes,
         members_of(rig) as members,
     ):
         say(f"opening {', '.join(member.name for member in members)}")
@@ -96,7 +96,7 @@ def run_rig(config: RigRunOptions, auto: Literal["none", "native"], *, always_re
             say(f"{what} {file}: Ctrl-C ends it" if file else "watching: Ctrl-C ends it")
             end = _Ending(asked, config.seconds, opened.source)
             lossless = options is not None and options.lossless
-            experiment = live_stages(stages, beside, end, lossless=lossless, watch=end.watch)
+            experiment = live_stages(stages, processes, end, lossless=lossless, watch=end.watch)
             counts = run_session(opened.source, experiment, recorder)
         last = opened.last
         assert last is not None

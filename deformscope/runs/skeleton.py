@@ -256,9 +256,9 @@ def leave(
 
     advice = f"see to {stop.advice}" if stop is not None and stop.advice else ""
     if ended or stop is None:
-        kept = "" if recording is None else f"; the recording is complete: {recording}"
+        complete = "" if recording is None else f"; the recording is complete: {recording}"
         by = asked.by or f"by {signal_word(asked.signal_number)}"
-        say(f"deformscope: ended {by}{state}{advice and f'; {advice}'}{kept}")
+        say(f"deformscope: ended {by}{state}{advice and f'; {advice}'}{complete}")
         raise SystemExit(128 + (asked.signal_number or signal.SIGINT))
     came = f"{stop.kind} ({stop.reason.split(' | ')[0]}){state}"
     raise InputError(expected, came, f"{advice}, then {again}" if advice else again, recording or "")

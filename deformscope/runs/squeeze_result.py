@@ -197,8 +197,8 @@ class SqueezeResult(LibraryResult):
                 rows.append(("truth", self.content))
         if self.stop is not None:
             rows.append(("discarded", f"{self.stop.kind}: {self.stop.reason}"))
-        kept = (("data set", self.dataset), ("recording", self.recording))
-        return [*rows, ("hand", self.hand_text), *((words, str(path)) for words, path in kept if path)]
+        written = (("data set", self.dataset), ("recording", self.recording))
+        return [*rows, ("hand", self.hand_text), *((words, str(path)) for words, path in written if path)]
 
     @property
     def hand_text(self) -> str:

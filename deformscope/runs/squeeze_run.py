@@ -203,8 +203,8 @@ def _run(
         )
         try:
             tracking = live_tracking(observer.frames, geometry, setup.clock, real_time=setup.runs_itself)
-            with feature_executor(setup, hand) as beside, tracking as observer.tracking, watch.halts(hand):
-                run_session(source, experiment, observed, hand, beside)
+            with feature_executor(setup, hand) as executor, tracking as observer.tracking, watch.halts(hand):
+                run_session(source, experiment, observed, hand, executor)
         finally:
             arm_stands = hand.arm is None or hand.arm.stands
             ended |= {"hand_stands": hand.stands, "arm_stands": arm_stands, "limits_restored": hand.restored}

@@ -108,8 +108,8 @@ def verify_recording(path: Path, *, stages: bool = False, privacy: bool = False)
         hint = f"an intact copy, or its readable part: deformscope recover {path}"
         error = Damaged("a whole recording", "; ".join(dict.fromkeys(problems)) + gone, hint, path)
     elif unfinished:
-        kept = f"everything{reached} is there{gone}" if reached else "its readable part exists"
-        came = f"one of an interrupted run; {kept}"
+        saved = f"everything{reached} is there{gone}" if reached else "its readable part exists"
+        came = f"one of an interrupted run; {saved}"
         error = Damaged("a finished recording", came, f"deformscope recover {path}", path)
     losses = _losses(facts, checked=differs is not None, reached=reached) if error is None else []
     losses += [inherited(before)] if before and error is None else []

@@ -129,7 +129,7 @@ class LabRobot:
         foam = self.errors.foam(scene)
         self.size_m = scene.size_m
         self.arm = ArmCompliance(1.0 / ARM_STIFFNESS_N_M, ARM_DOUBT / ARM_STIFFNESS_N_M)
-        self.truth = Truth(scene.regions, scene.lumps_m)
+        self.truth = Truth(scene.regions, scene.inclusions_m)
         self.most_force_n = 0.0
         self.felt: list[float] = []
         self._options = options

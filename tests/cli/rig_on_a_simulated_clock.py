@@ -82,7 +82,7 @@ class SimulatedTable:
             camera_config=camera_config,
             arm=self._arm,
             force_config=force_config,
-            as_felt=None if self._randomized is None else self._randomized.felt,
+            sensed=None if self._randomized is None else self._randomized.sensed,
         )
         made = {"arm": self.lab.arm, "wrench": self.lab.force, "depth": self.lab.camera}
         yield {entry.name: made[entry.driver.kind] for entry in entries}

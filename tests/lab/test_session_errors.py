@@ -36,7 +36,7 @@ def test_scatter_has_its_deviation_and_its_length() -> None:
 def test_the_clean_laboratory_keeps_nothing() -> None:
     clean = LabErrors.none().draw(3)
     force = np.array([0.1, -0.2, 3.0])
-    np.testing.assert_array_equal(clean.as_felt(force, 50.0), force)
+    np.testing.assert_array_equal(clean.sensed(force, 50.0), force)
     assert clean.arm_n_per_m == ARM_STIFFNESS_N_M
     scene = built_in("two-60-150", 3)
     assert clean.foam(scene).modulus_pa(np.array([0.1, 0.1])) == scene.modulus_pa(np.array([0.1, 0.1]))
@@ -45,7 +45,7 @@ def test_the_clean_laboratory_keeps_nothing() -> None:
 
 def test_the_sensor_has_the_session_s_gain_and_the_tip_rubs() -> None:
     drawn = LabErrors(friction=0.5).draw(1)
-    felt = drawn.as_felt(np.array([0.0, 0.0, 2.0]), 0.0)
+    felt = drawn.sensed(np.array([0.0, 0.0, 2.0]), 0.0)
     assert felt[2] == pytest.approx(2.0 * drawn.gain)
     assert np.hypot(*felt[:2]) == pytest.approx(2.0 * drawn.gain * drawn.friction)
 

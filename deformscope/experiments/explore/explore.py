@@ -190,9 +190,9 @@ class Exploration:
     region_probability: probability of each number of regions, with `maps`
     ended_ns, iou: when each touch ended on the robot's clock, and the IoU of the map after it (None without a truth)
     travel_m: travel over the surface, in straight lines from its corner (0, 0); stop_reason: why it ended, in a word or
-    two; missed: inclusions that the touches so far may have missed, None before the first plan; lumps: newest result of
-    the search for inclusions, None without a search; started: number of touches that were started; asked: numbers of
-    touches that a person requested, from 1; stop, stop_ns: reason and time of a stop before the plan's end
+    two; missed: inclusions that the touches so far may have missed, None before the first plan; inclusions: newest result
+    of their search, None without one; started: number of touches that were started; asked: numbers of touches that a
+    person requested, from 1; stop, stop_ns: reason and time of a stop before the plan's end
     compute_s, slowest_s: computing time, and that of the slowest touch [s]"""
 
     surface: SurfaceEstimate | None = None
@@ -205,7 +205,7 @@ class Exploration:
     travel_m: float = 0.0
     stop_reason: str = ""
     missed: DetectionLimit | None = None
-    lumps: InclusionsResult | None = None
+    inclusions: InclusionsResult | None = None
     started: int = 0
     asked: list[int] = field(default_factory=list)
     stop: ExplorationStop | None = None
@@ -227,7 +227,7 @@ class Exploration:
             elif isinstance(result, MapEstimate):
                 self.maps, self.region_probability = result, computed.region_probability
             elif isinstance(result, InclusionsResult):
-                self.lumps = result
+                self.inclusions = result
             elif isinstance(result, PlannedTouch):
                 self.stop_reason, self.missed = result.stop_reason, result.missed
             elif isinstance(result, StageFailure):

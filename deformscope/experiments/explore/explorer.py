@@ -372,7 +372,7 @@ class Explorer:
         self._without_map = self._without_map + 1 if maps is None else 0
         if maps is not None:
             self.maps, self.region_probability = maps, self.region_map.probability
-        truth_m = None if self._truth is None else self._truth.lumps_m
+        truth_m = None if self._truth is None else self._truth.inclusions_m
         found = None if search is None else self._stage("lumps", lambda: self.search.inclusions(truth_m))
         return estimate, self._perception(touched, contact, sample), maps, found
 
@@ -401,8 +401,8 @@ class Explorer:
         self, touched: TouchMeasurement, contact: touch_fit.TouchContact, creep: CreepFit | None
     ) -> tuple[touch_fit.TouchContact, StiffnessSample | None]:
         """A touch's sample for the map, None without the mapped quantity; and its contact, on the level layer."""
-        felt = self.search.sample(touched.xy_m, contact.fit)
-        stiffness = self._stage("creep", lambda: self._quantity.stiffness(felt, creep, contact.speed_m_s))
+        measured = self.search.sample(touched.xy_m, contact.fit)
+        stiffness = self._stage("creep", lambda: self._quantity.stiffness(measured, creep, contact.speed_m_s))
         if stiffness is None:
             return contact, None
         shift = None

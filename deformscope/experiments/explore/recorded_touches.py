@@ -58,20 +58,20 @@ class _Approaches(ApproachChooser):
     force without contact differs."""
 
     before_s, longest_s = 2.0, 120.0
-    _met_m: FloatArray | None = None
+    _contact_m: FloatArray | None = None
 
     def see(self, item: Item) -> None:
         super().see(item)
         if not isinstance(item, ArmFrame) or item.device != self._arm:
             return
-        if self._since_ns is None or self._met_m is None:
-            self._met_m = item.position_m
-        elif np.linalg.norm(item.position_m - self._met_m) > TRAVEL_M:
+        if self._since_ns is None or self._contact_m is None:
+            self._contact_m = item.position_m
+        elif np.linalg.norm(item.position_m - self._contact_m) > TRAVEL_M:
             self._end()
             self._free_n = None
 
     @property
-    def met_ns(self) -> int | None:
+    def unended_ns(self) -> int | None:
         """Contact of an approach that has not ended."""
         return self._since_ns
 
@@ -108,8 +108,8 @@ def find_touches(
             touches.append(_touch(frames, chooser.contact_ns, images_ns, names, setup, options))
         except InputError as error:
             left_out.append(f"approach after {(chooser.contact_ns - began_ns) / 1e9:.1f} s: {error}")
-    if chooser.met_ns is not None:
-        left_out.append(f"approach after {(chooser.met_ns - began_ns) / 1e9:.1f} s: the recording ends within it")
+    if chooser.unended_ns is not None:
+        left_out.append(f"approach after {(chooser.unended_ns - began_ns) / 1e9:.1f} s: the recording ends within it")
     if not touches:
         came = f"none of {len(left_out)} approaches, {left_out[0]}" if left_out else chooser.lacks
         raise InputError("touches of the surface in the recording", came, "its [tool] and [surface]")
@@ -136,9 +136,9 @@ def _touch(
     readings = {one.stamp.host_ns: one for one in frames if isinstance(one, WrenchFrame) and one.usable}
     arm_ns, wrench_ns = np.array(list(states), np.int64), np.array(list(readings), np.int64)
     free = wrench_ns < wrench_ns[:1] + (contact_ns - wrench_ns[:1]) // 2
-    met = int(np.searchsorted(arm_ns, contact_ns))
+    at_contact = int(np.searchsorted(arm_ns, contact_ns))
     first = int(np.searchsorted(wrench_ns, contact_ns))
-    if free.sum() < 3 or first == len(wrench_ns) or not 0 < met < len(arm_ns) - 1:
+    if free.sum() < 3 or first == len(wrench_ns) or not 0 < at_contact < len(arm_ns) - 1:
         raise InputError("readings in free air and states of the arm around contact", "too few")
     raw_n = np.array([one.force_n[0] for one in readings.values()])
     tare_n = raw_n[free].mean(axis=0)
@@ -151,17 +151,17 @@ def _touch(
     ]
     force_n = forces_at(arm_ns.tolist(), wrench_ns, forces_n)
     center_m = placement.T_surface_center(np.array(T_base_ee))[:, :3, 3]
-    peak = met + int(np.argmax(np.linalg.norm(force_n[met:], axis=1)))
+    peak = at_contact + int(np.argmax(np.linalg.norm(force_n[at_contact:], axis=1)))
     if np.linalg.norm(force_n[-1]) > 0.5 * np.linalg.norm(force_n[peak]):
         raise InputError("a force that is zero after contact", "a remaining force, as after setting a sensor to zero")
-    way_m = center_m[peak] - center_m[met]
+    way_m = center_m[peak] - center_m[at_contact]
     if np.linalg.norm(way_m) < LEAST_WAY_M:
         way_m = center_m[peak] - center_m[0]
     length_m = float(np.linalg.norm(way_m))
     if length_m < LOADED[1]:
         raise InputError("an arm that moves into the surface", f"{1e3 * length_m:.2g} mm of way")
     normal = -way_m / length_m
-    aside_m = np.linalg.norm(np.cross(center_m[:met] - center_m[met], normal), axis=1)
+    aside_m = np.linalg.norm(np.cross(center_m[:at_contact] - center_m[at_contact], normal), axis=1)
     start = int(np.flatnonzero(np.append(True, aside_m > ASIDE_M))[-1])
     straight_m = center_m[start : peak + 1] - center_m[start : peak + 1].mean(axis=0)
     along = np.linalg.svd(straight_m, full_matrices=False)[2][0]
@@ -171,21 +171,21 @@ def _touch(
         raise InputError(
             "an arm that presses along its direction of motion", f"{share:.0%} of the force in that direction"
         )
-    xy_m = (center_m[met] - placement.center_offset_m * normal)[:2]
+    xy_m = (center_m[at_contact] - placement.center_offset_m * normal)[:2]
     if normal[2] < UPRIGHT or not ((xy_m > 0.0) & (xy_m < setup.size_m)).all():
         came = f"({100 * xy_m[0]:.0f}, {100 * xy_m[1]:.0f}) cm along ({', '.join(f'{one:.1f}' for one in -normal)})"
         raise InputError("a touch of the surface from above", came)
     along_m = -(center_m @ normal)
-    most_m = float(along_m[met:].max())
-    dent_m = most_m - float(along_m[met])
-    gaps_m = center_m[[met, newest[first]]] - center_m[[met - 1, newest[first - 1]]]
+    most_m = float(along_m[at_contact:].max())
+    dent_m = most_m - float(along_m[at_contact])
+    gaps_m = center_m[[at_contact, newest[first]]] - center_m[[at_contact - 1, newest[first - 1]]]
     unseen_m = float(np.linalg.norm(gaps_m, axis=1).max())
     if unseen_m > max(
         UNSEEN * dent_m, 5.0 * np.median(np.linalg.norm(np.diff(center_m[start : peak + 1], axis=0), axis=1))
     ):
         raise InputError("readings without a gap at contact", f"{1e3 * unseen_m:.2g} mm of way between two")
     before_m, after_m = (max(of * dent_m, least) for of, least in (LOADED, STILL))
-    loaded = met + int(np.argmax(along_m[met:] >= most_m - before_m)) + 1
+    loaded = at_contact + int(np.argmax(along_m[at_contact:] >= most_m - before_m)) + 1
     still_ns = int(arm_ns[np.flatnonzero(along_m >= most_m - after_m)[-1]])
     images_ns = _within(np.array(depth_ns, np.int64), int(arm_ns[loaded - 1]), still_ns)[-DENT_PICTURES:]
     used_ns = _within(wrench_ns, int(arm_ns[start]), int(arm_ns[-1] if holds else arm_ns[loaded - 1]))

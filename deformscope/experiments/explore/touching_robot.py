@@ -183,8 +183,8 @@ class TouchingRobot(CommandedRobot):
             if asked.ask_finger is not None and found.passed and self._robot.force_alone:
                 self._waits = WAITS
                 set_n = max(max(plan.set_force_n, plan.more_force_n or 0.0) for plan in plans)
-                felt = press_by_finger(self._robot, self._setup.press, asked.ask_finger, set_n=set_n)
-                found = Preflight((*found.checks, felt))
+                pressed = press_by_finger(self._robot, self._setup.press, asked.ask_finger, set_n=set_n)
+                found = Preflight((*found.checks, pressed))
                 self._waits = ""
         self._robot.rest()
         return found

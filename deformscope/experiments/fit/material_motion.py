@@ -176,7 +176,7 @@ def _durations(time_s: FloatArray) -> FloatArray:
 def yield_of_motion(motion: Motion, options: YieldOptions, progress: Progress | None) -> MaterialFit:
     """All frames of a motion file."""
     estimate = fit_yield(motion, options, progress)
-    return MaterialFit(estimate, _beside(motion, estimate.simulated), motion)
+    return MaterialFit(estimate, _comparisons(motion, estimate.simulated), motion)
 
 
 def yield_of_camera(
@@ -196,11 +196,11 @@ def yield_of_camera(
     estimate = dataclasses.replace(found, settings=settings)
     every = np.arange(1, len(time_s))
     later = some_frames(motion, every, time_s)
-    shown = _beside(later, simulate_yielding(later, options, estimate), first=1)
+    shown = _comparisons(later, simulate_yielding(later, options, estimate), first=1)
     return MaterialFit(estimate, shown, fitted)
 
 
-def _beside(motion: Motion, states: FloatArray, first: int = 0) -> tuple[tuple[int, Comparison], ...]:
+def _comparisons(motion: Motion, states: FloatArray, first: int = 0) -> tuple[tuple[int, Comparison], ...]:
     """Every frame with the simulation (T, K, d). first: index of the first frame"""
     return tuple(
         (frame, Comparison(motion.rest, seen, state, np.isfinite(seen).all(axis=1), np.flatnonzero(held), motion.unit))
@@ -283,5 +283,5 @@ def _recovery(
     size = np.where(np.isfinite(found.simulated), found.simulated, amplitude)
     rise = np.where(known[:, None], moved[deepest], np.nan)
     states = motion.rest + size[:, None, None] * rise
-    every = _beside(motion, states, first)
+    every = _comparisons(motion, states, first)
     return MaterialFit(estimate, every[max(0, -first) :], motion)

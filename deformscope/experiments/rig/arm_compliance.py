@@ -73,7 +73,7 @@ def touch_rigid(
         law = fit_approach(
             made.time_s, made.position_m, made.force_n, normal, set_force_n=options.set_force_n, arm=found
         )
-        # where it met the surface, along the normal, taken to where the camera's height is given
+        # the contact with the surface, along the normal, taken to where the camera's height is given
         met_m = height_m + (-law.contact_m - float(np.append(xy_m, height_m) @ normal) - options.tip_radius_m)
         if found.dome > DOME_AT_MOST:
             raise InputError(

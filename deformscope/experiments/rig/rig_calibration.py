@@ -200,7 +200,7 @@ def push_tip(
     where = yield from _frames(HOLD_S, {arm: ArmFrame})
     pose = held([one for one in where[arm] if isinstance(one, ArmFrame)]).T_base_ee
     tare_n = free.force_n.mean(axis=0)
-    felt, axes = [], []
+    forces_n, axes = [], []
     for number in range(repeats * len(PUSHES)):
         words, axis = PUSHES[number % len(PUSHES)]
         turn = f"push {number + 1} of {repeats * len(PUSHES)}"
@@ -208,9 +208,9 @@ def push_tip(
         request = SetupRequest("push", number, words, axis)
         yield from operator(request)
         frames = yield from _frames(PUSH_S, {wrench: WrenchFrame})
-        felt.append(np.median(_forces(frames[wrench]).force_n, axis=0) - tare_n)
+        forces_n.append(np.median(_forces(frames[wrench]).force_n, axis=0) - tare_n)
         axes.append(axis)
-        note(f"  {np.linalg.norm(felt[-1]):.1f} N")
+        note(f"  {np.linalg.norm(forces_n[-1]):.1f} N")
     loaded: list[FloatArray] = []
     for number in range(LOADS if load_n is not None else 0):
         yield from operator(SetupRequest("rest", 1 + number, "keep the tip free of contact"))
@@ -230,7 +230,7 @@ def push_tip(
         weighed.append(_forces(frames[wrench]).force_n.mean(axis=0))
     poses, forces = np.array(tilted).reshape(-1, 4, 4), np.array(weighed).reshape(-1, 3)
     under = np.array(loaded).reshape(-1, 3)
-    return PushedTip(pose, free, np.array(felt), np.array(axes), poses, forces, load_n, under)
+    return PushedTip(pose, free, np.array(forces_n), np.array(axes), poses, forces, load_n, under)
 
 
 def _forces(frames: Sequence[Frame]) -> ForceReadings:

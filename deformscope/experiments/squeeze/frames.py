@@ -175,7 +175,7 @@ class SqueezeObserver:
         """Add an item, and return its view, None = nothing."""
         self.frames.add(item, self._onset.first_ns)
         if isinstance(item, TactileFrame) and item.device == self.frames.tactile_source.device:
-            results, costs = with_costs("fingertips", self._felt, item)
+            results, costs = with_costs("fingertips", self._pressures, item)
             return Step(results, moment=Moment(item.stamp.host_ns), costs=tuple(costs))
         return None
 
@@ -184,7 +184,7 @@ class SqueezeObserver:
         known = self.tracking.go_on(self._onset.first_ns)
         return [Step((one.container, one.change), moment=Moment(one.when_ns), costs=one.costs) for one in known]
 
-    def _felt(self, frame: TactileFrame) -> tuple[object, ...]:
+    def _pressures(self, frame: TactileFrame) -> tuple[object, ...]:
         source = self.frames.tactile_source
         counts = source.counts(frame)
         results: list[object] = [fingertip_pressure(frame, source)]

@@ -195,9 +195,9 @@ class PlacingArm:
             for one in found.checks
             if not one.name.startswith(LEAVE_OUT)
         ]
-        felt = robot.supervisor.sees_collisions
+        detects = robot.supervisor.sees_collisions
         wanted = "joint torques or motor currents, which collisions are detected by"
-        rows.append(Check("arm: collisions", felt, wanted, "reported" if felt else "none"))
+        rows.append(Check("arm: collisions", detects, wanted, "reported" if detects else "none"))
         return Preflight((*rows, *arm_placing.plan_checks(plan, robot)))
 
     @contextlib.contextmanager
@@ -367,8 +367,8 @@ class Placing:
         placed = when == "placed"
         change = (yield from self._look(when, near=placed)).change
         if change is not None and (change.changed if placed else change.kind != "stands"):
-            met = "the hand hit it" if placed else "a person moved it"
-            raise self._ended(f"{CONTAINER} {change.kind}", change.words, f"the container: {met}")
+            cause = "the hand hit it" if placed else "a person moved it"
+            raise self._ended(f"{CONTAINER} {change.kind}", change.words, f"the container: {cause}")
 
     def _look(self, when: str, *, near: bool = False) -> RigExperiment[ContainerSighting]:
         since_ns = self.setup.clock()

@@ -22,8 +22,8 @@ from deformscope.stages.squeeze.events import BASELINE_FRAMES, ArrayCheck, Event
 from deformscope.stages.squeeze.trial import SqueezePhase, SqueezeStop
 from deformscope_drivers.errors import DeviceError
 
-MET_M = 2 * PAD_M + 0.004
-"""Fingertips this near to each other have met: nothing is between them."""
+TOUCHING_M = 2 * PAD_M + 0.004
+"""Fingertips this near touch each other: nothing is between them."""
 KEEP_EVERY = 5
 """Control periods of a simulated clock between two portions of the recording."""
 AIR_FRAMES = BASELINE_FRAMES
@@ -249,7 +249,7 @@ class SqueezingHand(CommandedRobot):
             arrays.feed_frame(onset.rise, onset.threshold, frame.texels)
         if wrong := arrays.contradictions(self._setup.hand.fingers):
             apart_m = gap_m(robot.hand.latest(1.0).position_deg, self._setup.hand.fingers)
-            if not onset.first_ns and apart_m < MET_M:
+            if not onset.first_ns and apart_m < TOUCHING_M:
                 robot.fail(SqueezeFault.NO_CONTACT, f"the fingertips have met each other, {1e3 * apart_m:.0f} mm apart")
             robot.fail(SqueezeFault.CONTRADICTED, "; ".join(wrong))
 

@@ -13,8 +13,8 @@ from deformscope.log.exploration.display import (
     FORCE,
     GAIN,
     HEIGHT,
+    INCLUSIONS,
     INCLUSIONS_SUMMARY,
-    LUMPS,
     MAPS,
     MISSED,
     SECTION,
@@ -65,7 +65,7 @@ def exploration_blueprint(
     compared: other settings, whose results are shown with the recorded ones (`tabs` alone)"""
     maps = {name: _picture(path, title) for (name, title), path in zip(TITLES.items(), MAPS, strict=True)}
     if inclusions:
-        maps |= {"beta": _picture(LUMPS, "Inclusions"), "beta_deviation": _picture(MISSED, "What may be missed")}
+        maps |= {"beta": _picture(INCLUSIONS, "Inclusions"), "beta_deviation": _picture(MISSED, "What may be missed")}
     gain, force = _picture(GAIN, "Gain of each place for the next touch"), _picture(FORCE, "Force over depth")
     truly = maps["truth"] if truth else _picture(HEIGHT, "Surface")
     words = INCLUSIONS_SUMMARY if inclusions else SUMMARY

@@ -16,7 +16,7 @@ from deformscope.stages.map.exploration import InclusionsResult, MapEstimate, St
 
 HEIGHT, GAIN = "display/surface/height", "display/plan/gain"
 FORCE, SECTION = "display/touch/force", "display/touch/section"
-LUMPS, MISSED, INCLUSIONS_SUMMARY = (f"display/lumps/{what}" for what in ("map", "missed", "summary"))
+INCLUSIONS, MISSED, INCLUSIONS_SUMMARY = (f"display/lumps/{what}" for what in ("map", "missed", "summary"))
 MAPS = {f"display/maps/{quantity}": quantity for quantity in pictures.MAP_DRAWINGS}
 
 PHASES: dict[str, Rgb] = {
@@ -46,7 +46,7 @@ def log_maps(now: ResultBatch, maps: MapEstimate) -> None:
 
 
 def log_inclusions(now: ResultBatch, found: InclusionsResult) -> None:
-    now.show_png(LUMPS, pictures.inclusions_png, found)
+    now.show_png(INCLUSIONS, pictures.inclusions_png, found)
     now.show_png(MISSED, pictures.miss_probability_png, found)
     text = "\n\n".join(f"**{name}**: {words}" for name, words in found.rows)
     title = f"# {messages.format_inclusions(found)} after {messages.counted(len(found.contacts_m), 'touch')}"

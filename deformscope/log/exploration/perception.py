@@ -91,19 +91,19 @@ def log_under_touch(now: ResultBatch, perception: TouchPerception) -> None:
     now.show_points(f"{UNDER}/label", [[middle[0], near[1] - 0.01, near[2]]], TEXT, 1e-4, [words])
 
 
-def log_tool(now: ResultBatch, felt: ForcePose) -> None:
+def log_tool(now: ResultBatch, poses: ForcePose) -> None:
     """The tip's frame while it touches."""
-    _, some = np.unique(felt.host_ns // POSE_NS, return_index=True)
-    pose = felt.values[some, 3:]
+    _, some = np.unique(poses.host_ns // POSE_NS, return_index=True)
+    pose = poses.values[some, 3:]
     columns = rr.Transform3D.columns(
         translation=pose[:, :3],
         quaternion=Rotation.from_rotvec(pose[:, 3:]).as_quat(),
         parent_frame=["surface"] * len(some),
         child_frame=["tool"] * len(some),
     )
-    now.show_series(f"{FRAMES}/tool", felt.host_ns[some], columns)
+    now.show_series(f"{FRAMES}/tool", poses.host_ns[some], columns)
     for axes in (rr.CoordinateFrame.columns(frame=["tool"]), rr.TransformAxes3D.columns(axis_length=[AXIS_M])):
-        now.show_series(f"{SCENE}/frames/tool", felt.host_ns[:1], axes)
+        now.show_series(f"{SCENE}/frames/tool", poses.host_ns[:1], axes)
 
 
 def log_ground(now: ResultBatch, surface: SurfaceEstimate) -> None:

@@ -65,10 +65,10 @@ def extremes(frames: Sequence[FrameT], most: int, value: Callable[[FrameT], floa
     if len(frames) <= most:
         return list(frames)
     values = np.nan_to_num([value(frame) for frame in frames])
-    kept = set()
+    chosen = set()
     for stretch in np.array_split(np.arange(len(frames)), most // 2):
-        kept |= {int(stretch[np.argmin(values[stretch])]), int(stretch[np.argmax(values[stretch])])}
-    return [frames[at] for at in sorted(kept)]
+        chosen |= {int(stretch[np.argmin(values[stretch])]), int(stretch[np.argmax(values[stretch])])}
+    return [frames[at] for at in sorted(chosen)]
 
 
 def _smaller(image: ImageArray, width: int, interpolation: int) -> ImageArray:

@@ -150,18 +150,18 @@ class Fingertips:
     pads: tuple[int, ...]
 
 
-def log_fingertips(now: ResultBatch, felt: trial.FingertipPressure, fingertips: Fingertips) -> None:
-    now.show(FORCE, rr.Scalars(felt.force_n))
+def log_fingertips(now: ResultBatch, tips: trial.FingertipPressure, fingertips: Fingertips) -> None:
+    now.show(FORCE, rr.Scalars(tips.force_n))
     hand = Hand.of(fingertips.stream.pads)
-    touched = [at for at in range(len(fingertips.pads)) if felt.area_m2[at] > 0.0]
+    touched = [at for at in range(len(fingertips.pads)) if tips.area_m2[at] > 0.0]
     centers, lines, labels = [], [], []
     for at in touched:
         top, left = hand.corners[fingertips.pads[at]]
-        center = np.array([left, top]) * hand.texel_mm + felt.center_m[at] * 1e3
-        half = 0.5 * AXIS_MM * felt.elongation[at] * np.array([np.cos(felt.axis_rad[at]), np.sin(felt.axis_rad[at])])
+        center = np.array([left, top]) * hand.texel_mm + tips.center_m[at] * 1e3
+        half = 0.5 * AXIS_MM * tips.elongation[at] * np.array([np.cos(tips.axis_rad[at]), np.sin(tips.axis_rad[at])])
         centers.append(center)
         lines.append(np.nan_to_num(np.stack([center - half, center + half]), nan=0.0))
-        labels.append(f"{felt.force_n[at]:.2f} N, {felt.area_m2[at] * 1e4:.1f} cm2")
+        labels.append(f"{tips.force_n[at]:.2f} N, {tips.area_m2[at] * 1e4:.1f} cm2")
     path = root("display/tactile", fingertips.stream.device)
     points = np.array(centers).reshape(-1, 2)
     now.show(

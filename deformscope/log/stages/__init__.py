@@ -89,10 +89,10 @@ def _log_tables(
     for one in ordered:
         latest[one.stage] = one
         tables.append(summary(list(latest.values())))
-    kept = slice(-1, None) if newest_alone else slice(None)
+    shown = slice(-1, None) if newest_alone else slice(None)
     if tables:
-        columns = rr.TextDocument.columns(text=tables[kept], media_type=["text/markdown"] * len(tables[kept]))
-        batch.send_columns(WORDS, moments([one.host_ns for one in ordered[kept]], start_ns), columns)
+        columns = rr.TextDocument.columns(text=tables[shown], media_type=["text/markdown"] * len(tables[shown]))
+        batch.send_columns(WORDS, moments([one.host_ns for one in ordered[shown]], start_ns), columns)
 
 
 def _log_pictures(batch: Batch, group: StageGroup, stage: str, draw: Callable[..., bytes], *more: object) -> None:

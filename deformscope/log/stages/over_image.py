@@ -163,10 +163,10 @@ def log_pads(batch: Batch, group: StageGroup) -> None:
     corners = np.array([(left, top) for top, left in hand.corners]) * hand.texel_mm
     centers, labels, counts = [], [], []
     for one in group.drawn:
-        felt = np.flatnonzero(one.result.area_m2 > 0.0)
-        centers.append(corners[felt] + one.result.center_m[felt] * 1e3)
-        labels += [f"{one.result.force_n[pad]:.2f} N, {one.result.area_m2[pad] * 1e4:.1f} cm2" for pad in felt]
-        counts.append(len(felt))
+        touched = np.flatnonzero(one.result.area_m2 > 0.0)
+        centers.append(corners[touched] + one.result.center_m[touched] * 1e3)
+        labels += [f"{one.result.force_n[pad]:.2f} N, {one.result.area_m2[pad] * 1e4:.1f} cm2" for pad in touched]
+        counts.append(len(touched))
     total = sum(counts)
     columns = [
         *rr.Points2D.columns(

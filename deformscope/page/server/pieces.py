@@ -83,8 +83,8 @@ class Pieces:
                 self._first.append(piece)
                 self._bytes["first"] += len(data)
             else:
-                kept, name = (self._lasting, "lasting") if lasting else (self._passing, "passing")
-                kept.append(piece)
+                queue, name = (self._lasting, "lasting") if lasting else (self._passing, "passing")
+                queue.append(piece)
                 self._bytes[name] += len(data)
             while self._bytes["lasting"] > LASTING_BYTES:
                 self._bytes["lasting"] -= len(self._lasting.popleft().data)

@@ -90,12 +90,12 @@ def first(few_guesses: None) -> tuple[BumpRobot, Exploration, list[object]]:
 
 def test_the_lump_is_found_and_it_stops_by_itself(first: tuple[BumpRobot, Exploration, list[object]]) -> None:
     _, found, results = first
-    lumps = found.lumps
+    inclusions = found.inclusions
     assert found.stop_reason == "no lump missed"
-    assert lumps.stiff.tolist() == [True]
-    assert np.hypot(*(lumps.centre_m[0] - LUMP_M)) < RADIUS_M
-    assert lumps.missed_smallest < 0.05
-    assert len(found.touches) == len(lumps.contacts_m)
+    assert inclusions.stiff.tolist() == [True]
+    assert np.hypot(*(inclusions.centre_m[0] - LUMP_M)) < RADIUS_M
+    assert inclusions.missed_smallest < 0.05
+    assert len(found.touches) == len(inclusions.contacts_m)
     (last,) = [one for one in results if isinstance(one, MapEstimate)][-1:]
     assert (last.region_count, last.labels.max()) == (2, 1)
     plans = [one for one in results if isinstance(one, PlannedTouch)]
@@ -114,9 +114,9 @@ def test_the_recorded_touches_give_the_same_to_the_last_bit(first: tuple[BumpRob
 
 def test_what_was_found_is_recorded_without_loss(first: tuple[BumpRobot, Exploration, list[object]]) -> None:
     _, found, _ = first
-    lumps = found.lumps
-    assert lumps is not None
-    assert differing(lumps, from_components(InclusionsResult, to_components(lumps))) is None
+    inclusions = found.inclusions
+    assert inclusions is not None
+    assert differing(inclusions, from_components(InclusionsResult, to_components(inclusions))) is None
 
 
 def test_it_has_a_planner_of_its_own() -> None:
