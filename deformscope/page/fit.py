@@ -88,7 +88,10 @@ class PageFit:
         settings."""
         while True:
             with self._news:
-                self._wait()
+                if not self._curve:
+                    self._news.wait_for(self._is_wanted)
+                elif not self.state.values:
+                    self._news.wait_for(self._is_wanted, QUIET_S)
                 asked, fit, finished = self._asked, self._wants_fit, self._finished
                 self._asked = None
                 self._wants_fit = fit and asked is not None  # first what it is to be made of
@@ -105,13 +108,6 @@ class PageFit:
     def command(self) -> str:
         """The command that gives the same numbers at a terminal."""
         return shlex.join(command_line(f"calibrate {self.state.parameter}", self.config))
-
-    def _wait(self) -> None:
-        """Until there is something to do."""
-        if not self._curve:
-            self._news.wait_for(self._is_wanted)
-        elif not self.state.values:
-            self._news.wait_for(self._is_wanted, QUIET_S)
 
     def _is_wanted(self) -> bool:
         return self._asked is not None or self._wants_fit or self._finished

@@ -190,9 +190,9 @@ class Exploration:
     region_probability: probability of each number of regions, with `maps`
     ended_ns, iou: when each touch ended on the robot's clock, and the IoU of the map after it (None without a truth)
     travel_m: travel over the surface, in straight lines from its corner (0, 0); stop_reason: why it ended, in a word or
-    two; missed: inclusions that the touches so far may have missed, None before the first plan; inclusions: newest result
-    of their search, None without one; started: number of touches that were started; asked: numbers of touches that a
-    person requested, from 1; stop, stop_ns: reason and time of a stop before the plan's end
+    two; missed: inclusions that the touches so far may have missed, None before the first plan; inclusions: newest
+    result of their search, None without one; started: number of touches that were started; asked: numbers of touches
+    that a person requested, from 1; stop, stop_ns: reason and time of a stop before the plan's end
     compute_s, slowest_s: computing time, and that of the slowest touch [s]"""
 
     surface: SurfaceEstimate | None = None

@@ -433,24 +433,21 @@ class ApproachChooser:
             self._recent.append(item)
         elif isinstance(item, WrenchFrame) and item.device == self._wrench and np.isfinite(item.force_n[0]).all():
             self._recent.append(item)
-            self._see_force(item)
+            force, ns = item.force_n[0], item.stamp.host_ns
+            if self._free_n is None:
+                self._free_n = force
+            passed_s, self._force_ns = (ns - self._force_ns) / 1e9, ns
+            change_n = float(np.linalg.norm(force - self._free_n))
+            if self._since_ns is None:
+                if change_n > TOUCHING_N:
+                    self._since_ns = ns
+                else:
+                    self._free_n = self._free_n + self._follow(passed_s) * (force - self._free_n)
+            elif change_n < 0.5 * TOUCHING_N or ns - self._since_ns > self.longest_s * 1e9:
+                self._end()
         span_ns = (self.before_s + (self.longest_s if self._since_ns is not None else 0.0)) * 1e9
         while self._recent and self._recent[-1].stamp.host_ns - self._recent[0].stamp.host_ns > span_ns:
             self._recent.popleft()
-
-    def _see_force(self, frame: WrenchFrame) -> None:
-        force, ns = frame.force_n[0], frame.stamp.host_ns
-        if self._free_n is None:
-            self._free_n = force
-        passed_s, self._force_ns = (ns - self._force_ns) / 1e9, ns
-        change_n = float(np.linalg.norm(force - self._free_n))
-        if self._since_ns is None:
-            if change_n > TOUCHING_N:
-                self._since_ns = ns
-            else:
-                self._free_n = self._free_n + self._follow(passed_s) * (force - self._free_n)
-        elif change_n < 0.5 * TOUCHING_N or ns - self._since_ns > self.longest_s * 1e9:
-            self._end()
 
     def _end(self) -> None:
         self.contact_ns, self._since_ns = self._since_ns or 0, None
