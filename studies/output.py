@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from deformscope.pictures.figures import canvas
-from deformscope.pictures.findings import cell_text
-from deformscope.pictures.report import Figure, Table
+from deformscope.pictures.report import Figure, Table, cell_text
 
 
 def dict_table(rows: Sequence[Mapping[str, object]], caption: str = "") -> Table:

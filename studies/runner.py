@@ -40,8 +40,7 @@ from deformscope.executor.journal import Journal
 from deformscope.executor.local import HereWorker, open_workers
 from deformscope.executor.tasks import compute
 from deformscope.frames import StageCost
-from deformscope.pictures.findings import Findings
-from deformscope.pictures.report import Figure, Table
+from deformscope.pictures.report import Figure, Findings, Table
 from deformscope.session import Step
 
 CaseT = TypeVar("CaseT")

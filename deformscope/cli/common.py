@@ -19,8 +19,7 @@ from deformscope.errors import InputError, printable
 from deformscope.file_io import make_folder as make_folder
 from deformscope.file_io import read_file as read_file
 from deformscope.file_io import replacing as replacing
-from deformscope.pictures.findings import table_text
-from deformscope.pictures.report import Table
+from deformscope.pictures.report import Table, table_text
 from deformscope.plain import plain
 from deformscope.runs.result import open_recorder
 from deformscope.stages.msm import quiet

@@ -12,7 +12,7 @@ from deformscope.cli.common import say, show, write_json
 from deformscope.config import DatasetConfig, DiscardConfig, MergeConfig, RelabelConfig, RepairConfig
 from deformscope.errors import InputError
 from deformscope.files.squeeze_dataset import TRIALS, SqueezeDataset, TrialEntry, TrialRow
-from deformscope.pictures.findings import table_text
+from deformscope.pictures.report import table_text
 from deformscope.runs.datasets import dataset_table
 
 

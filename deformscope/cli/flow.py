@@ -13,9 +13,8 @@ from deformscope.files.sources import DEFAULT_FPS
 from deformscope.frames import ColorFrame
 from deformscope.images import read_image
 from deformscope.log.layout import FLOW
-from deformscope.pictures.findings import Findings
-from deformscope.pictures.flow import flow_png
-from deformscope.pictures.report import Table
+from deformscope.pictures.figures import flow_png
+from deformscope.pictures.report import Findings, Table
 from deformscope.session import Step
 from deformscope.stages.see.flow import flow_both_ways
 from deformscope_drivers.clock import Stamp

@@ -96,8 +96,7 @@ def discard(config: DiscardRecordingConfig) -> None:
 def replay(config: ReplayConfig) -> int:
     """Run the same stages on the recorded inputs; of a rig, decode its bytes again and compare frames. Raises
     `Different` if the numbers differ from the recorded ones. Returns the command's exit status."""
-    from deformscope.pictures.findings import table_text
-    from deformscope.pictures.report import Table
+    from deformscope.pictures.report import Table, table_text
     from deformscope.recording.ledger import ledger_path
     from deformscope.runs.replay import replay_on
 

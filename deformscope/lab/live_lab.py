@@ -246,7 +246,7 @@ def _feel(pipe: Connection, table: _Table, shared: _Shared, sensitivity: Sensiti
     def load(time_s: float) -> FloatArray:
         """(3,) force on the sensor in the tip's frame [N], with the sensor's faults where the table has any."""
         load_n = contact.load(time_s)
-        return load_n if table.randomized is None else np.asarray(table.randomized.load_n(load_n, time_s), np.float64)
+        return load_n if table.randomized is None else np.asarray(table.randomized.sensed(load_n, time_s), np.float64)
 
     double = OptoforceDouble(Sensors(scene=load, sensitivity=sensitivity, seed=table.seed))
     with PtyWire(double) as wire:

@@ -12,10 +12,9 @@ from deformscope.arrays import BoolArray, FloatArray
 from deformscope.log.canvas import Canvas, deep_bar, log_color_bar, log_deep_legend, log_legend, log_place, sides_of
 from deformscope.log.particles import REST_RADIUS, SIMULATED_RADIUS, log_observed, log_rest
 from deformscope.pictures.evidence import errors, evidence_png
-from deformscope.pictures.findings import cell_text, table_markdown
 from deformscope.pictures.messages import estimate_tables
 from deformscope.pictures.palette import HELD, OBSERVED, REST, SIMULATED, Rgb, colors, readable, round_up
-from deformscope.pictures.report import Table
+from deformscope.pictures.report import Table, cell_text, table_markdown
 from deformscope.rows import to_components
 from deformscope.stages.fit.estimate import Comparison, Estimate
 from deformscope.stages.see.triangulation import raster, triangulate

@@ -14,9 +14,9 @@ from deformscope.frames import Stream
 from deformscope.log.blueprint import blueprint, deep_view
 from deformscope.log.canvas import Canvas, deep_bar, log_color_bar, log_deep_legend, log_place
 from deformscope.log.layout import PictureLayout
-from deformscope.log.rig.blueprint import blueprint_of, rig_blueprint
-from deformscope.pictures.findings import ColoredBody, Findings, table_markdown
+from deformscope.log.rig.blueprint import blueprint_of
 from deformscope.pictures.palette import Rgb, colors, round_up
+from deformscope.pictures.report import ColoredBody, Findings, table_markdown
 from deformscope.plain import plain
 from deformscope.rows import to_components
 from deformscope.stages.see.triangulation import spacing_of
@@ -50,11 +50,6 @@ def log_findings(rec: rr.RecordingStream, found: Findings, below: rrb.Blueprint 
         _log_body(rec, body, f"found/body/{number}", f"found/body/{number}/legend", _around(body))
     _log_tables(rec, found, "found/tables")
     rec.send_blueprint(findings_blueprint(found, below))
-
-
-def log_rig_findings(rec: rr.RecordingStream, result: RigFindings) -> None:
-    """The findings above the views of the devices."""
-    log_findings(rec, result.found, rig_blueprint(result.streams))
 
 
 def log_evidence(rec: rr.RecordingStream, found: Findings, canvas: Canvas) -> None:

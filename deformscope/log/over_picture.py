@@ -11,12 +11,13 @@ import rerun as rr
 
 from deformscope.log.canvas import Canvas
 from deformscope.log.estimate import log_comparison, log_estimate
-from deformscope.log.findings import RigFindings, log_evidence, log_findings, log_numbers, log_rig_findings
-from deformscope.log.particles import log_flow, log_grid, log_tracked
+from deformscope.log.findings import RigFindings, log_evidence, log_findings, log_numbers
+from deformscope.log.particles import log_flow, log_rest, log_tracked
+from deformscope.log.rig.blueprint import rig_blueprint
 from deformscope.log.states import log_states
 from deformscope.log.views import ShownStage, Views, views_of
 from deformscope.pictures.close_up import close_up
-from deformscope.pictures.findings import Findings
+from deformscope.pictures.report import Findings
 from deformscope.stages.fit.estimate import Comparison, Estimate
 from deformscope.stages.materials.axis_estimate import AxisEstimate
 from deformscope.stages.materials.field_estimate import FieldEstimate
@@ -61,12 +62,12 @@ def picture_views(canvas: Canvas) -> Views[rr.RecordingStream]:
     findings = log_findings if canvas == Canvas() else partial(log_evidence, canvas=canvas)
     return {
         FlowField: (FLOW, partial(log_flow, canvas=canvas)),
-        ParticleGrid: (PARTICLES, partial(log_grid, canvas=canvas)),
+        ParticleGrid: (PARTICLES, lambda rec, grid: log_rest(rec, grid.rest_px, canvas)),
         Tracked: (TRACKING, partial(log_tracked, canvas=canvas)),
         Comparison: (SIMULATION, partial(log_comparison, canvas=canvas)),
         Estimate: (ESTIMATE, partial(log_estimate, canvas=canvas)),
         Findings: (FINDINGS, findings),
-        RigFindings: (FINDINGS, log_rig_findings),
+        RigFindings: (FINDINGS, lambda rec, one: log_findings(rec, one.found, rig_blueprint(one.streams))),
         StateSweeps: (ShownStage("states", 3, "static, over beta and theta (fig. 3.7)", entity="plot"), log_states),
         **dict.fromkeys((AxisEstimate, FieldEstimate, YieldEstimate, RecoveryEstimate), numbers),
     }

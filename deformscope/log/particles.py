@@ -9,16 +9,11 @@ from deformscope.arrays import FloatArray
 from deformscope.log.canvas import LABEL, Canvas, log_color_bar, log_labels, log_legend, log_place
 from deformscope.pictures.palette import LOST, OBSERVED, REST, colors, round_up
 from deformscope.stages.see.flow import FlowField
-from deformscope.stages.see.particles import ParticleGrid, Tracked
+from deformscope.stages.see.particles import Tracked
 
 EDGE = (30, 30, 30)
 REST_RADIUS, OBSERVED_RADIUS, SIMULATED_RADIUS, CROSS = 0.10, 0.22, 0.12, 0.2
 """Shares of the particles' spacing: a simulated particle on its observed one leaves a blue ring around red."""
-
-
-def log_grid(rec: rr.RecordingStream, grid: ParticleGrid, canvas: Canvas) -> None:
-    """Log the particles at rest: on the timeline from the first frame on, although they do not move."""
-    log_rest(rec, grid.rest_px, canvas)
 
 
 def log_rest(rec: rr.RecordingStream, rest: FloatArray, canvas: Canvas) -> None:

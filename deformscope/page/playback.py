@@ -70,15 +70,12 @@ def chapters_of(rows: list[Row], until_ns: int) -> list[Chapter]:
     found = []
     touches = [row for row in rows if isinstance(row.item, PhaseStart)]
     begun = [row for row in touches if row.item.name in ("look", "travel") or row.item.name.startswith("stopped")]
-    for row, following in pairwise([*begun, None]):
-        assert row is not None
-        end_ns = until_ns if following is None else following.session_ns
-        found.append(Chapter(_format_touch(row), row.session_ns, end_ns))
-    squeezed = [row for row in rows if isinstance(row.item, SqueezePhase)]
-    for row, following in pairwise([*squeezed, None]):
-        assert row is not None
-        end_ns = until_ns if following is None else following.session_ns
-        found.append(Chapter(row.item.name, row.session_ns, end_ns))
+    for phases in (begun, [row for row in rows if isinstance(row.item, SqueezePhase)]):
+        for row, following in pairwise([*phases, None]):
+            assert row is not None
+            name = f"touch {row.touch}" if row.item.name == "travel" and phases is begun else str(row.item.name)
+            end_ns = until_ns if following is None else following.session_ns
+            found.append(Chapter(name, row.session_ns, end_ns))
     notes = [row for row in rows if isinstance(row.item, SessionNote)]
     for place, row in enumerate(notes):
         if row.item.about == "episode-begin":
@@ -90,11 +87,6 @@ def chapters_of(rows: list[Row], until_ns: int) -> list[Chapter]:
         elif row.item.about == "note":
             found.append(Chapter(f"note: {row.item.text}", row.session_ns, until_ns))
     return sorted(found, key=lambda chapter: chapter.from_ns)
-
-
-def _format_touch(row: Row) -> str:
-    name = str(row.item.name)
-    return f"touch {row.touch}" if name == "travel" else name
 
 
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'"

@@ -56,11 +56,12 @@ class _FileTake:
 
 
 class EpisodeNotes:
-    """Notes that wait to be recorded, and the present episode; the label is empty without one."""
+    """Notes that wait to be recorded, and the labels of the present and the last episode of the file, empty without
+    one."""
 
     def __init__(self) -> None:
         self._waiting: list[SessionNote] = []
-        self.episode = self._last_episode = ""
+        self.episode = self.last_episode = ""
 
     def note(self, about: NoteKind, text: str) -> None:
         self._waiting.append(SessionNote(monotonic_ns(), about, text))
@@ -73,7 +74,7 @@ class EpisodeNotes:
     def begin(self, label: str) -> None:
         """Begin an episode, and end the one before it."""
         self.end()
-        self.episode = self._last_episode = label
+        self.episode = self.last_episode = label
         self.note("episode-begin", label)
 
     def end(self) -> str:
@@ -83,23 +84,15 @@ class EpisodeNotes:
             self.note("episode-end", label)
         return label
 
-    def enter_file(self) -> None:
-        """A new file: no episode has begun in it."""
-        self._last_episode = ""
-
-    def lose_file(self) -> None:
-        """Note that the file has ended before the episode."""
-        self.episode = ""
-
     def discard(self, command: messages.DiscardPart) -> tuple[messages.Outcome, str]:
         """Mark the recording, or its last episode, as not to be used."""
         if command.what == "recording":
             self.note("discard-recording", command.reason)
             return "done", "the recording is marked as discarded; it continues"
-        if not self._last_episode:
+        if not self.last_episode:
             return "refused", "no episode was begun in this file"
         self.note("discard-episode", command.reason)
-        return "done", f"episode {self._last_episode} is marked as discarded"
+        return "done", f"episode {self.last_episode} is marked as discarded"
 
 
 class BackgroundWork:
@@ -254,7 +247,7 @@ class PageRecorder:
     def _lose_file(self, take: _FileTake, error: RecordingError) -> None:
         """Its file ends with the data so far, and the live view continues without one."""
         self._take, self._failure = None, error
-        self._notes.lose_file()
+        self._notes.episode = ""
         self.session.remark(f"the recording has ended: {error}", bad=True)
         say(f"deformscope: the recording has ended, the page continues: {error}")
 
@@ -346,7 +339,7 @@ class PageRecorder:
         recorder.__enter__()
         with self._lock:
             self._take = _FileTake(recorder, path)
-            self._notes.enter_file()
+            self._notes.last_episode = ""
             self._enter()
 
     def _stop_file(self) -> tuple[messages.Outcome, str]:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Protocol
 
 from deformscope.frames import InputFile, Item, StageCost
-from deformscope.recording.live import LiveFeed, live_stream, page_stream, start_viewer
+from deformscope.recording.live import LiveFeed
 from deformscope.session import Step
 
 if TYPE_CHECKING:
@@ -17,7 +15,6 @@ if TYPE_CHECKING:
 
     from deformscope.log.live_stream import LiveStream
     from deformscope.log.rig import Batch
-    from deformscope.page.server.page_server import PageServer
     from deformscope.recording.rrd_file import RecordingFile
 
 COSTS_AT_ONCE = 200
@@ -98,18 +95,3 @@ class Encoder(Protocol):
 
     def write_rest(self) -> None:
         """Write the items that are still gathered, at the end."""
-
-
-def open_window(application: str, recording_id: str, properties: Mapping[str, object]) -> LiveFeed[LiveStream]:
-    """Start rerun's window; returns its feed."""
-    viewer = start_viewer()
-    print(viewer.where, file=sys.stderr, flush=True)
-    return LiveFeed(partial(live_stream, application, recording_id, viewer, properties))
-
-
-def page_feed(
-    page: PageServer, application: str, recording_id: str, properties: Mapping[str, object]
-) -> LiveFeed[LiveStream]:
-    """The feed of a page."""
-    connect = partial(page_stream, application, recording_id, page.pieces, properties)
-    return LiveFeed(connect, period_s=lambda: page.pieces.period_s)

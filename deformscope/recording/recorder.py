@@ -22,12 +22,11 @@ from typing import TYPE_CHECKING
 from deformscope.frames import Frame, HealthReport, InputFile, Item, StageResult
 from deformscope.log.layout import IMAGES, Application, RecordingLayout
 from deformscope.recording import provenance
-from deformscope.recording.device_encoder import DeviceEncoder
 from deformscope.recording.lateness import Lateness, RecordingError
-from deformscope.recording.live import LiveFeed, ViewerKind
+from deformscope.recording.live import LiveFeed, ViewerKind, live_stream, page_stream, start_viewer
 from deformscope.recording.losses import losses_of
-from deformscope.recording.outputs import Encoder, Outputs, open_window, page_feed
-from deformscope.recording.picture_encoder import PictureEncoder
+from deformscope.recording.outputs import Encoder, Outputs
+from deformscope.recording.picture_encoder import DeviceEncoder, PictureEncoder
 from deformscope.recording.portions import GATHER_LIVE_S, GATHER_S, arrays_size, counted_as, item_size
 from deformscope.recording.rrd_file import RecordingFile, leave_streams_alone
 from deformscope.recording.target import RecordingTarget
@@ -276,7 +275,9 @@ class Recorder:
     def _opened_view(self, recording_id: str, properties: Mapping[str, object]) -> LiveFeed[LiveStream]:
         """A window, or a page, and its feed."""
         if self._viewer_kind == "native":
-            return open_window(self._application.name, recording_id, properties)
+            viewer = start_viewer()
+            print(viewer.where, file=sys.stderr, flush=True)
+            return LiveFeed(partial(live_stream, self._application.name, recording_id, viewer, properties))
         from deformscope.page.server.page_server import PageServer
 
         self._page = page = PageServer(str(self._settings.get("rig_name") or self._settings.get("command") or ""))
@@ -288,7 +289,8 @@ class Recorder:
             page.session.enter("live")
         else:
             page.session.recording_began(str(self._target.path))
-        return page_feed(page, self._application.name, recording_id, properties)
+        connect = partial(page_stream, self._application.name, recording_id, page.pieces, properties)
+        return LiveFeed(connect, period_s=lambda: page.pieces.period_s)
 
     def _put(self, job: Callable[[], None], size: int) -> None:
         """Have the writer's thread do it, in order. From any thread."""

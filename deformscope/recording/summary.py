@@ -18,7 +18,7 @@ from deformscope.recording.lock import is_being_written
 from deformscope.recording.losses import named
 from deformscope.recording.reader import Replay
 from deformscope.recording.rrd_index import read_index
-from deformscope.results.columns import HIGH, LOW, cells_of, to_cells
+from deformscope.results.render import HIGH, LOW, cells_of, to_cells
 from deformscope.stages.fit.estimate import Estimate
 from deformscope.stages.map.exploration import MapEstimate, TouchEstimate
 from deformscope.stages.materials.axis_estimate import AxisEstimate

@@ -16,9 +16,8 @@ from deformscope.pictures.evidence import (
     verdict_color,
     where_wrong,
 )
-from deformscope.pictures.findings import cell_text
 from deformscope.pictures.messages import estimate_rows, format_length, reason_rows
-from deformscope.pictures.report import Code, Figure, Part, ReportVerdict, Section, Table, html_report
+from deformscope.pictures.report import Code, Figure, Part, ReportVerdict, Section, Table, cell_text, html_report
 from deformscope.plain import plain
 from deformscope.recording import provenance
 from deformscope.stages.fit.estimate import Estimate

@@ -25,7 +25,7 @@ from deformscope.pictures.report import Link, Section, Table, html_report
 from deformscope.plain import Json, plain
 from deformscope.recording.ledger import ledger_path
 from deformscope.recording.streams import unit_of
-from deformscope.results.columns import HIGH, LOW, cell_text, cells_of
+from deformscope.results.render import HIGH, LOW, cell_text, cells_of
 from deformscope.runs.result import LibraryResult
 from deformscope.terminal import Progress
 from deformscope.version import __version__

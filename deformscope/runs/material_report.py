@@ -8,10 +8,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from deformscope.experiments.fit.material_motion import MaterialEstimate, MaterialFit
-from deformscope.pictures.findings import ColoredBody
 from deformscope.pictures.material_figures import axes_png, field_png, recovery_png, yield_png
 from deformscope.pictures.messages import reason_rows
-from deformscope.pictures.report import Figure, Table
+from deformscope.pictures.report import ColoredBody, Figure, Table
 from deformscope.results.render import Rows, format_value, to_rows
 from deformscope.stages.fit.estimate import Doubt
 from deformscope.stages.materials.axis_estimate import ACROSS_VIEW, AxisEstimate

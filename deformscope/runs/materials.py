@@ -25,8 +25,7 @@ from deformscope.files.motions import parse_motion
 from deformscope.files.pairs import parse_pair
 from deformscope.files.sources import Source
 from deformscope.frames import InputFile, WrenchFrame
-from deformscope.pictures.findings import Findings
-from deformscope.pictures.report import Figure, ReportVerdict, Section, Table, html_report
+from deformscope.pictures.report import Figure, Findings, ReportVerdict, Section, Table, html_report
 from deformscope.plain import Json
 from deformscope.recording.item_rows import read_rows
 from deformscope.recording.items import read_found

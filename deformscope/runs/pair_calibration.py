@@ -12,8 +12,7 @@ import numpy as np
 
 from deformscope.config import OutputOptions
 from deformscope.errors import InputError
-from deformscope.experiments.fit.pair_files import pair_files
-from deformscope.experiments.fit.poke_files import LayersOptions, poke_files
+from deformscope.experiments.fit.poke_files import LayersOptions, pair_files, poke_files
 from deformscope.files.pairs import parse_pair
 from deformscope.frames import InputFile
 from deformscope.log.layout import PAIR, PAIR_3D

@@ -15,8 +15,7 @@ from deformscope.config.flags import Device, PokeText
 from deformscope.errors import InputError
 from deformscope.files.model_file import load_model
 from deformscope.pictures.dents import dents_png
-from deformscope.pictures.findings import ColoredBody, Findings
-from deformscope.pictures.report import Figure, Table
+from deformscope.pictures.report import ColoredBody, Figure, Findings, Table
 from deformscope.plain import Json
 from deformscope.runs.calibration_result import CalibrationResult
 from deformscope.runs.result import LibraryResult

@@ -11,8 +11,7 @@ from typing import cast
 import pyarrow as pa
 
 from deformscope.frames import ColorFrame, Item, SessionNote
-from deformscope.pictures.findings import cell_text
-from deformscope.pictures.report import Table
+from deformscope.pictures.report import Table, cell_text
 from deformscope.plain import Json, plain
 from deformscope.recording.discards import Discard, discard
 from deformscope.recording.items import read_estimates, read_items, read_results

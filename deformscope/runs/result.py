@@ -9,8 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, cast
 
-from deformscope.pictures.findings import Findings
-from deformscope.pictures.report import Figure, Table
+from deformscope.pictures.report import Figure, Findings, Table
 from deformscope.plain import Json, plain
 from deformscope.results.render import Rows
 

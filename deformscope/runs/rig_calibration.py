@@ -17,10 +17,9 @@ from deformscope.experiments.rig.rig_calibration import Assistant, SetupRequest
 from deformscope.file_io import read_file, replacing
 from deformscope.files.arrays_file import read_arrays
 from deformscope.interruption import Interruption, until_interrupted
-from deformscope.lab.rig_members import member_of
+from deformscope.lab.double_device import member_of
 from deformscope.log.findings import RigFindings
-from deformscope.pictures.findings import Findings
-from deformscope.pictures.report import Figure, Table
+from deformscope.pictures.report import Figure, Findings, Table
 from deformscope.rig.rig_edit import Values, edited, lines_of
 from deformscope.rig.rig_file import Rig, load_rig
 from deformscope.robot.setup import ROLES, RigParts, only_device, open_rig

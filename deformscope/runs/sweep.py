@@ -34,11 +34,11 @@ from deformscope.executor.tasks import TaskOutcome, compute
 from deformscope.file_io import make_folder, nearest_file, replacing, resolve
 from deformscope.files.result_table import make_table, write_table
 from deformscope.files.sources import RECORDING_SUFFIX, natural_key
-from deformscope.pictures.distributions import distributions_png
+from deformscope.pictures.figures import distributions_png
 from deformscope.pictures.report import Figure, Link, ReportVerdict, Section, Table, html_report
 from deformscope.plain import Json, plain
 from deformscope.recording.ledger import ledger_path
-from deformscope.results.columns import HIGH, LOW, cell_text, to_cells
+from deformscope.results.render import HIGH, LOW, cell_text, to_cells
 from deformscope.runs.result import LibraryResult
 from deformscope.terminal import Progress
 from deformscope.version import __version__

@@ -27,18 +27,18 @@ from deformscope.frames import (
 )
 from deformscope.log.exploration.layout import EXPLORATION, ExplorationLayout
 from deformscope.log.layout import RIG, RigLayout
-from deformscope.log.live_stream import LiveStream
-from deformscope.log.rig import Place
-from deformscope.log.rig.thinned import (
+from deformscope.log.live_stream import (
     COLOR_WIDTH,
     DEPTH_WIDTH,
     MOST,
     POSE_HZ,
     TACTILE_HZ,
     WRENCH_HZ,
+    LiveStream,
     extremes,
     thinned,
 )
+from deformscope.log.rig import Place
 from deformscope.recording import outputs
 from deformscope.recording.live import Viewer
 from deformscope.recording.recorder import Recorder

@@ -1,4 +1,5 @@
-"""Pokes of one surface, from pair files: a body of layers below it that can be poked elsewhere."""
+"""Pairs of rest and deformed shapes without frames, each fitted alone or all to one value; and pokes of one surface: a
+body of layers below it that can be poked elsewhere."""
 
 from __future__ import annotations
 
@@ -9,7 +10,8 @@ import numpy as np
 
 from deformscope.config.calibrate import LayersFlags
 from deformscope.errors import InputError
-from deformscope.session import Experiment, Step
+from deformscope.session import Experiment, Step, measuring
+from deformscope.stages.fit.calibrate import Calibration, calibrate
 from deformscope.stages.fit.model import FitOptions, Observation
 from deformscope.stages.fit.plausible import check_poke
 from deformscope.stages.fit.search import Progress
@@ -72,3 +74,24 @@ def poke_files(
         yield Step((comparison,), frame=int(np.asarray(found.shaped)[index]))
     yield Step((concluded.estimate,), frame=len(seen) - 1)
     return concluded
+
+
+def pair_files(
+    seen: Sequence[Observation], fit: FitOptions, *, joint: bool = False, progress: Progress | None = None
+) -> Experiment[list[Calibration]]:
+    """Fit every pair, in order, or with `joint` one value to all. Each pair is one place on the `frame` timeline."""
+    yield Step()
+    if joint:
+        with measuring("estimate"):
+            found = calibrate(seen, fit, settings={"pairs": len(seen)}, progress=progress)
+        for index, comparison in enumerate(found.comparisons):
+            yield Step((comparison,), frame=index)
+        yield Step((found.estimate,), frame=len(seen) - 1)
+        return [found]
+    every = []
+    for index, one in enumerate(seen):
+        with measuring("estimate"):
+            found = calibrate([one], fit, progress=progress)
+        every.append(found)
+        yield Step((*found.comparisons, found.estimate), frame=index)
+    return every

@@ -26,13 +26,13 @@ import numpy as np
 import rerun as rr
 
 from deformscope import frames
+from deformscope.log.rig import health
 from deformscope.log.rig.arm import log_pose, log_shape
 from deformscope.log.rig.blueprint import rig_blueprint
 from deformscope.log.rig.cameras import log_color, log_depth
-from deformscope.log.rig.columns import Batch, Place, Shown, moments, recorded, root
-from deformscope.log.rig.health import log_health, log_health_stream, log_link, log_link_stream, log_notes, log_raw
+from deformscope.log.rig.columns import Batch, Place, Shown, moments, recorded, root, states
 from deformscope.log.rig.numbers import log_numbers, log_numbers_stream
-from deformscope.log.rig.tactile import log_tactile, log_tactile_stream
+from deformscope.log.rig.tactile import Hand, log_hand, log_tactile
 from deformscope.rows import ENTITIES, to_json
 from deformscope_drivers.clock import Stamp
 from deformscope_drivers.health import Health, Link, LinkEvent
@@ -57,13 +57,13 @@ def log_streams(rec: rr.RecordingStream, streams: Sequence[frames.Stream]) -> No
     for stream in streams:
         rec.log(root(stream.kind, stream.device), rr.AnyValues(stream=to_json(stream)), static=True)
         log_numbers_stream(rec, stream)
-        if stream.kind == "tactile":
-            log_tactile_stream(rec, stream)
+        if stream.kind == "tactile" and stream.pads:
+            log_hand(rec, stream.device, Hand.of(stream.pads))
         elif stream.kind == "arm":
             log_shape(rec, stream)
     for device in sorted({stream.device for stream in streams}):
-        log_link_stream(rec, device)
-        log_health_stream(rec, device)
+        rec.log(root("link", device), states(health.LINK_COLORS), static=True)
+        rec.log(root("health", device), states(health.COLORS), static=True)
 
 
 def log_items(
@@ -109,13 +109,14 @@ def prepare_items(
         elif kind is frames.DepthFrame:
             log_depth(batch, device, group, start_ns, device in lossless, shown)
         elif kind is frames.RawBytes:
-            log_raw(batch, device, group, start_ns)
+            times = moments([piece.host_ns for piece in group], start_ns)
+            batch.send_columns(root("raw", device), times, recorded(group))
         elif kind is frames.LinkChange:
-            log_link(batch, device, group, start_ns, streams)
+            health.log_link(batch, device, group, start_ns, streams)
         elif kind is frames.HealthReport:
-            log_health(batch, group, start_ns, streams, shown if changes_only else None)
+            health.log_health(batch, group, start_ns, streams, shown if changes_only else None)
         elif kind is frames.SessionNote:
-            log_notes(batch, group, start_ns)
+            health.log_notes(batch, group, start_ns)
         elif kind not in NUMBERS:
             raise TypeError(f"no twin in deformscope.log.rig shows a {kind.__name__}")
     return batch

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 import rerun as rr
 
-from deformscope.frames import HealthReport, LinkChange, RawBytes, SessionNote, Stream
-from deformscope.log.rig.columns import Batch, Shown, moments, recorded, root, scalars, states
+from deformscope.frames import HealthReport, LinkChange, SessionNote, Stream
+from deformscope.log.rig.columns import Batch, Shown, moments, recorded, root, scalars
 from deformscope.log.rig.numbers import plotted
 from deformscope.pictures.palette import BAD, GOOD, IDLE, WARN
 from deformscope_drivers.health import Health, Link
@@ -42,10 +42,6 @@ def word(health: Health, stream: Stream | None) -> str:
         return "stale"
     alarms = ["stuck"] * health.stuck + [alarm.replace(":", " ").split()[0] for alarm in health.alarms]
     return "stuck" if "stuck" in alarms else alarms[0] if alarms else "ok"
-
-
-def log_health_stream(rec: rr.RecordingStream, device: str) -> None:
-    rec.log(root("health", device), states(COLORS), static=True)
 
 
 def log_health(
@@ -110,10 +106,6 @@ LINK_COLORS = {Link.CONNECTED: GOOD, Link.LOST: WARN, Link.FAILED: BAD, Link.CLO
 LEVELS = {Link.CONNECTED: "INFO", Link.LOST: "WARN", Link.FAILED: "ERROR", Link.CLOSED: "INFO"}
 
 
-def log_link_stream(rec: rr.RecordingStream, device: str) -> None:
-    rec.log(root("link", device), states(LINK_COLORS), static=True)
-
-
 def log_link(
     batch: Batch, device: str, changes: Sequence[LinkChange], start_ns: int, streams: Sequence[Stream]
 ) -> None:
@@ -140,7 +132,3 @@ def log_notes(batch: Batch, notes: Sequence[SessionNote], start_ns: int) -> None
         *recorded(notes),
     ]
     batch.send_columns("note", moments([note.host_ns for note in notes], start_ns), columns)
-
-
-def log_raw(batch: Batch, device: str, pieces: Sequence[RawBytes], start_ns: int) -> None:
-    batch.send_columns(root("raw", device), moments([piece.host_ns for piece in pieces], start_ns), recorded(pieces))

@@ -118,11 +118,6 @@ class Hand:
         return found
 
 
-def log_tactile_stream(rec: rr.RecordingStream, stream: Stream) -> None:
-    if stream.pads:
-        _log_hand(rec, stream.device, Hand.of(stream.pads))
-
-
 def log_tactile(
     batch: sent.Batch,
     device: str,
@@ -140,7 +135,7 @@ def log_tactile(
         hand = Hand.of(stream.pads)
     elif frames[0].pressure_pa:
         hand = Hand.of_shapes([pad.shape for pad in frames[0].pressure_pa])
-        _log_hand(batch, device, hand)
+        log_hand(batch, device, hand)
     else:
         return
     drawn = [frame for frame in frames if [pad.shape for pad in frame.pressure_pa] == hand.shapes]
@@ -158,7 +153,7 @@ def _peaks_kpa(frame: TactileFrame) -> FloatArray:
     return np.array([np.max(pad, initial=0.0) * 1e-3 for pad in frame.pressure_pa])
 
 
-def _log_hand(rec: sent.Sink, device: str, hand: Hand) -> None:
+def log_hand(rec: sent.Sink, device: str, hand: Hand) -> None:
     """Log the constants of a hand's pads: names, places, sizes."""
     path = sent.root("display/tactile", device)
     names = [pad.name for pad in hand.pads]

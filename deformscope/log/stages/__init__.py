@@ -23,13 +23,12 @@ from deformscope.log.stages.over_image import (
     log_flow_arrows,
     log_moments,
     log_pads,
-    log_pads_stream,
     log_particle_moments,
 )
 from deformscope.log.stages.views import PLOTS, WORDS
 from deformscope.log.views import SOMETIMES, ShownStage, Views, views_of
 from deformscope.pictures.exploration import force_png, height_png
-from deformscope.pictures.palette import JOINTS
+from deformscope.pictures.palette import JOINTS, tints_of
 from deformscope.stages.fit.moment import FieldMoment, MomentFit, ParticleMoment
 from deformscope.stages.map.exploration import StageFailure, SurfaceEstimate, TouchEstimate
 from deformscope.stages.see.arrows import FlowArrows
@@ -44,7 +43,10 @@ def log_stage_streams(rec: rr.RecordingStream, stages: Sequence[tuple[str, str]]
             names = ["lower end", name, "upper end"]
             log_series(rec, f"{PLOTS}/{name}", names, [(120, 120, 130), (235, 45, 45), (120, 120, 130)])
         if name == "tactile":
-            log_pads_stream(rec, next(one for one in streams if (one.kind, one.device) == ("tactile", device)))
+            pads = next(one.pads for one in streams if (one.kind, one.device) == ("tactile", device))
+            for quantity, unit in (("force", "N"), ("area", "cm2")):
+                names = [f"{pad.name} [{unit}]" for pad in pads]
+                log_series(rec, f"{PLOTS}/{quantity}/{device}", names, tints_of(len(names)))
 
 
 def prepare_stage_results(

@@ -11,10 +11,10 @@ import rerun as rr
 
 from deformscope.arrays import FloatArray
 from deformscope.frames import StageResult, Stream
-from deformscope.log.rig.columns import Batch, log_series, moments, root, scalars
+from deformscope.log.rig.columns import Batch, moments, root, scalars
 from deformscope.log.rig.tactile import Hand
 from deformscope.log.stages.views import PLOTS
-from deformscope.pictures.palette import HELD, LOST, OBSERVED, SIMULATED, colors, round_up, tints_of
+from deformscope.pictures.palette import HELD, LOST, OBSERVED, SIMULATED, colors, round_up
 from deformscope.stages.fit.moment import FieldMoment, MomentFit, ParticleMoment
 from deformscope.stages.see.arrows import FlowArrows
 
@@ -143,12 +143,6 @@ def _spacing(points: FloatArray) -> float:
 
 MARK_MM = 1.6
 CENTER = (0, 255, 220)
-
-
-def log_pads_stream(rec: rr.RecordingStream, stream: Stream) -> None:
-    for quantity, unit in (("force", "N"), ("area", "cm2")):
-        names = [f"{pad.name} [{unit}]" for pad in stream.pads]
-        log_series(rec, f"{PLOTS}/{quantity}/{stream.device}", names, tints_of(len(names)))
 
 
 def log_pads(batch: Batch, group: StageGroup) -> None:
