@@ -16,7 +16,7 @@ from deformscope.cli.common import say, show, write_json
 from deformscope.config import DoctorConfig
 from deformscope.errors import InputError
 from deformscope.file_io import resolve
-from deformscope.lab.double_device import member_of
+from deformscope.lab.rig_members import member_of
 from deformscope.rig.rig_file import Rig, RigDevice, load_rig
 from deformscope.runs.commissioning import RigStep, begin, commissioning_steps, next_step
 from deformscope.runs.opened_devices import setup_of_rig

@@ -15,7 +15,7 @@ from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.experiments.explore.options import ExploreOptions
 from deformscope.interruption import Interruption, until_interrupted
-from deformscope.lab.double_device import member_of
+from deformscope.lab.rig_members import member_of
 from deformscope.rig.rig_file import load_rig
 from deformscope.robot.advice import where_it_stands
 from deformscope.robot.checks import Preflight

@@ -149,7 +149,7 @@ def recorded_rig(path: Path) -> Rig:
 def setup_of_rig(rig: Rig, seed: int = 0) -> Setup:
     """The setup of a rig file, not opened. Raises InputError, which names missing keys."""
     from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
-    from deformscope.lab.double_device import member_of
+    from deformscope.lab.rig_members import member_of
     from deformscope.robot.setup import RigParts, rig_setup
     from deformscope.runs.operator import PersonAtTerminal
 
@@ -213,7 +213,7 @@ def squeeze_setup_of(
     if name.startswith(LAB):
         raise InputError(CONTAINERS + ", or a rig file", repr(name), CONTAINERS)
     from deformscope.lab.container_setup import rig_container
-    from deformscope.lab.double_device import member_of
+    from deformscope.lab.rig_members import member_of
     from deformscope.rig.rig_file import load_rig
     from deformscope.robot.squeeze_setup import SqueezeParts, squeeze_setup
 

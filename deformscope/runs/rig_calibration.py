@@ -17,7 +17,7 @@ from deformscope.experiments.rig.rig_calibration import Assistant, SetupRequest
 from deformscope.file_io import read_file, replacing
 from deformscope.files.arrays_file import read_arrays
 from deformscope.interruption import Interruption, until_interrupted
-from deformscope.lab.double_device import member_of
+from deformscope.lab.rig_members import member_of
 from deformscope.log.findings import RigFindings
 from deformscope.pictures.report import Figure, Findings, Table
 from deformscope.rig.rig_edit import Values, edited, lines_of

@@ -19,7 +19,7 @@ from deformscope.experiments.live.live_stages import StageCounts, live_stages
 from deformscope.file_io import new_recording
 from deformscope.frames import HealthReport, Item, StageResult, Stream
 from deformscope.interruption import Interruption, until_interrupted
-from deformscope.lab.double_device import members_of
+from deformscope.lab.rig_members import members_of
 from deformscope.log.layout import RIG, RigLayout
 from deformscope.page.devices import remark_of
 from deformscope.page.recorder import PageRecorder

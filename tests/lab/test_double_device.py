@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from deformscope.lab.double_device import double_device, member_of
+from deformscope.lab.double_device import double_device
+from deformscope.lab.rig_members import member_of
 from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.rig_file import parse_rig
 from tests.patience import PATIENCE_S

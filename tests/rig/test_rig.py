@@ -9,7 +9,7 @@ import pytest
 
 from deformscope.errors import InputError
 from deformscope.frames import DepthFrame
-from deformscope.lab.double_device import members_of
+from deformscope.lab.rig_members import members_of
 from deformscope.rig.rig_file import load_rig, parse_rig, scenario_names
 from deformscope.rig.source import RigSource
 from tests.patience import PATIENCE_S
