@@ -39,7 +39,7 @@ from deformscope.log.live_stream import (
     thinned,
 )
 from deformscope.log.rig import Place
-from deformscope.recording import outputs
+from deformscope.recording import recorder
 from deformscope.recording.live import Viewer
 from deformscope.recording.recorder import Recorder
 from deformscope.session import Moment, Step
@@ -197,8 +197,8 @@ def test_a_severed_stream_is_no_slow_one() -> None:
 def shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """What a recorder sends to its viewer goes into this file."""
     path = tmp_path / "shown.rrd"
-    monkeypatch.setattr(outputs, "start_viewer", lambda: Viewer(0, 0))
-    monkeypatch.setattr(outputs, "live_stream", lambda *given: LiveStream(to_file(path), lambda timeout_s: None))
+    monkeypatch.setattr(recorder, "start_viewer", lambda: Viewer(0, 0))
+    monkeypatch.setattr(recorder, "live_stream", lambda *given: LiveStream(to_file(path), lambda timeout_s: None))
     return path
 
 

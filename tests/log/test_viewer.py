@@ -19,7 +19,7 @@ from deformscope.log.exploration.blueprint import exploration_blueprint
 from deformscope.log.exploration.results import log_exploration_start, prepare_results
 from deformscope.log.layout import PAIR, PAIR_3D
 from deformscope.log.rig import Place, log_items, log_streams, prepare_items, rig_blueprint
-from deformscope.recording import live, outputs, recorder
+from deformscope.recording import live, recorder
 from deformscope.recording.recorder import Recorder
 from deformscope.session import Step, run
 from deformscope.stages.map.exploration import MapEstimate
@@ -167,7 +167,7 @@ def _headless(monkeypatch: pytest.MonkeyPatch) -> list[live.Viewer]:
 
     monkeypatch.setattr(live, "window_options", lambda: ["--headless"])
     monkeypatch.setenv("VK_ICD_FILENAMES", str(LAVAPIPE))
-    monkeypatch.setattr(outputs, "start_viewer", start)
+    monkeypatch.setattr(recorder, "start_viewer", start)
     return started
 
 
