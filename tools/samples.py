@@ -10,6 +10,7 @@ import io
 import sys
 import tempfile
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import cv2
@@ -117,12 +118,12 @@ def video() -> bytes:
 
 def squeezes() -> bytes:
     """A table of simulated squeezes of boxes with five contents."""
-    from deformscope.processes import in_processes
     from deformscope.stages.squeeze.table import LabelledTable
     from studies.reproduce.container_trials import run_squeeze, squeeze_jobs
 
     jobs = squeeze_jobs(Path(), SQUEEZES, cylinders=0, whole=0, seed=0)
-    rows = [row for _, row in sorted(in_processes(run_squeeze, jobs)) if row.entry.discarded is None]
+    with ProcessPoolExecutor() as workers:
+        rows = [row for row in workers.map(run_squeeze, jobs) if row.entry.discarded is None]
     label, group, trial = (
         np.array([getattr(row.entry, name) for row in rows]) for name in ("content", "container", "trial")
     )

@@ -179,11 +179,11 @@ def test_a_person_is_asked_to_press_the_tip_of_an_arm_without_joint_torques(
     use_quick_scene(monkeypatch)
     count_as_real(monkeypatch, press=None)
     monkeypatch.setattr(finger, "PATIENCE_S", 4.0)
-    felt_n = finger._felt_n
+    tip_force_n = finger._tip_force_n
     periods = itertools.count()
     push_n = np.array([0.0, 0.0, 8.0])
     monkeypatch.setattr(
-        finger, "_felt_n", lambda robot: felt_n(robot) + push_n * (presses and 100 < next(periods) < 200)
+        finger, "_tip_force_n", lambda robot: tip_force_n(robot) + push_n * (presses and 100 < next(periods) < 200)
     )
     rig = tmp_path / "kuka.toml"
     rig.write_text(RIGS["kuka"])

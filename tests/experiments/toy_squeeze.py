@@ -11,7 +11,7 @@ import numpy.typing as npt
 import pytest
 
 from deformscope.rig.driver_table import DRIVERS
-from deformscope.rig.rig_file import ContainerSection, HandSection, SqueezeSection
+from deformscope.rig.sections import ContainerSection, HandSection, SqueezeSection
 from deformscope.rig.source import RigMember, RigSource
 from deformscope.robot.setup import CameraView
 from deformscope.robot.squeeze_plan import CLOSING_AXES, GripShape, draw_grasp
