@@ -77,8 +77,8 @@ class MappedStream(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
     @property
     def offset_ns(self) -> int:
-        """Offset of its stamps [ns]."""
-        return round(float(self.offset_s or 0.0) * 1e9)
+        """Offset of its stamps [ns]; 0 = not said."""
+        return 0 if self.offset_s == ASKED else round(float(self.offset_s or 0.0) * 1e9)
 
     def moved_ns(self, ns: float) -> int:
         """A stamp of the source with its offset [ns]. Raises InputError for one that no recording has."""

@@ -127,6 +127,9 @@ class Poses:
         self._type = reader.topics[stream.pose].type
         above = stream.pose.rpartition("/")[0]
         first = next(iter(reader.messages([stream.pose])), None)
+        has_frames = first is None or any(hasattr(first.value, one) for one in ("transforms", "child_frame_id"))
+        if stream.child and not has_frames:
+            raise stream.missing("child", f"none: {stream.pose} has poses without frames of their own", stream.child)
         self._is_tree = bool(stream.child) or (first is not None and hasattr(first.value, "transforms"))
         for key, name in {"parent": "base", "child": "end"}.items() if self._is_tree else ():
             if getattr(stream, key) in ("", ASKED):

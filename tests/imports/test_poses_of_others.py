@@ -379,3 +379,26 @@ def test_matrices_in_another_order_are_refused(tmp_path: Path, capfd: pytest.Cap
         source, pads_map([(6, 14), (6, 13)]).replace("pads.pressure", "pads.force"), tmp_path / "r.rrd", capfd
     )
     assert "columns.pressure_pa of hand in the map" in error
+
+
+def test_frames_of_a_pose_that_has_none_are_refused_by_name(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    bag = Bag()
+    for at in range(1, 4):
+        bag.add_pose(at * MS)
+        bag.add_joints(at * MS, JOINTS, [0.1, 0.2])
+    source = bag.write(tmp_path / "bag")
+    error = refused(source, arm_map(pose="/pose"), tmp_path / "r.rrd", capfd)
+    assert "child of arm in the map: none: /pose has poses without frames of their own; got 'tool'" in error
+    assert len(arms(imported(source, arm_map(parent="", pose="/pose"), tmp_path / "r.rrd"))) == 3
+
+
+def test_numbers_of_streams_whose_clocks_are_still_asked_for_are_shown(tmp_path: Path) -> None:
+    bag = Bag()
+    for at in range(1, 4):
+        bag.add_pose(at * MS)
+        bag.add_joints((at + 10**7) * MS, JOINTS, [0.1, 0.2])
+    for place, (topic, kind, _, message) in enumerate(bag.messages):
+        bag.messages[place] = (topic, kind, (place + 1) * MS, message)
+    text = inspected(bag.write(tmp_path / "bag"))
+    assert text.count('offset_s = "?"') == 1
+    assert "# stream js (arm): " in text
