@@ -43,7 +43,7 @@ def found_with(**changed: Any) -> exploration_result.ExplorationResult:
         "thickness": exploration_result.LayerThickness(0.05, 0.0, "stated"),
         "truth": exploration_result.TruthScore(3, 0.513, 0.046),
         "touches": (exploration_result.TouchOutcome(felt, 1.0, None, [], False),),
-        "lumps": None,
+        "inclusions": None,
         "missed": None,
         "failures": (),
         "travel_m": 0.65,

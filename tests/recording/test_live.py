@@ -366,12 +366,12 @@ def test_no_data_follows_for_a_window_that_ended_as_it_opened(tmp_path: Path, mo
 RECORDING = """
     import os, signal, sys, threading, time
     from pathlib import Path
-    from deformscope.recording import live, outputs, recorder
+    from deformscope.recording import live, recorder
     from tests.log import synthetic
     os.environ["DISPLAY"] = ":0"
     live.window_options = lambda: ["--serve-grpc"]  # a window without a window
-    start, started = outputs.start_viewer, []
-    outputs.start_viewer = lambda: started.append(start()) or started[0]
+    start, started = recorder.start_viewer, []
+    recorder.start_viewer = lambda: started.append(start()) or started[0]
     with recorder.Recorder(Path(sys.argv[1]), "native", {}) as made:
         for frame in synthetic.frames(60):
             made.write(frame)

@@ -572,9 +572,23 @@ class Msm:
             state.layout.put(u, state.before)
         return state
 
-    def step(self, state: Moving, *given: Any, **how: Any) -> FloatArray:
+    def step(
+        self,
+        state: Moving,
+        held_position: FloatArray,
+        beta: FloatArray | float,
+        theta: FloatArray | float = 0.0,
+        *,
+        volume: Volume = "scale",
+        alpha: float = 1.0,
+        dt: float = 2e-3,
+        acceleration: Sequence[float] | None = None,
+        steps: int = 1,
+        held_from: FloatArray | None = None,
+    ) -> FloatArray:
         """The positions (B, K, d) after `advance`, whose arguments it takes."""
-        self.advance(state, *given, **how)
+        how: Any = {"volume": volume, "alpha": alpha, "dt": dt, "acceleration": acceleration}
+        self.advance(state, held_position, beta, theta, **how, steps=steps, held_from=held_from)
         return self.positions(state)
 
     def positions(self, state: Moving) -> FloatArray:
