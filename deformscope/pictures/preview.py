@@ -35,7 +35,9 @@ def preview_png(shown: Sequence[Preview]) -> bytes:
             continue
         for at, (name, values) in enumerate(one.values.items()):
             label = name.replace("$", r"\$")
-            axis.plot(one.times, values, ".-", ms=2, lw=0.8, color=COLOURS[at % len(COLOURS)], label=label)
+            again, colour = divmod(at, len(COLOURS))
+            style = ("-", "--", ":")[again % 3]
+            axis.plot(one.times, values, ls=style, marker=".", ms=2, lw=0.8, color=COLOURS[colour], label=label)
         axis.set_xlabel(one.time, fontsize="small")
         axis.grid(alpha=0.3)
         if one.values:
