@@ -24,6 +24,8 @@ QUATERNIONS = {"xyzw": [0, 1, 2, 3], "wxyz": [1, 2, 3, 0]}
 """Orders of four numbers, and the places of x, y, z, w in them."""
 ROTATIONS = 'vector (axis times angle), or the order of Euler angles: "xyz" about fixed axes, "XYZ" about turned ones'
 EULER = re.compile(r"([xyz])(?!\1)([xyz])(?!\2)[xyz]|([XYZ])(?!\3)([XYZ])(?!\4)[XYZ]")
+FARTHEST_M = 1e9
+"""Largest coordinate: those of a map of the earth are below 1e8."""
 LENGTH_OFF = 0.01
 """Largest difference of a quaternion's length from 1: its numbers may have few digits."""
 
@@ -44,6 +46,8 @@ def pose_from(quaternion: Sequence[float], position: Sequence[float]) -> Pose:
 
     if not abs((length := math.hypot(*quaternion)) - 1.0) <= LENGTH_OFF:
         raise ValueError(f"a quaternion of length {length:.4g}, where a rotation has 1")
+    if (far_m := float(np.abs(position).max())) > FARTHEST_M:
+        raise ValueError(f"a position of {far_m:.4g} m, beyond any arm")
     T: Pose = np.eye(4)
     T[:3, :3], T[:3, 3] = Rotation.from_quat(quaternion).as_matrix(), position
     return T

@@ -402,3 +402,13 @@ def test_numbers_of_streams_whose_clocks_are_still_asked_for_are_shown(tmp_path:
     text = inspected(bag.write(tmp_path / "bag"))
     assert text.count('offset_s = "?"') == 1
     assert "# stream js (arm): " in text
+
+
+@pytest.mark.parametrize("x", [float("inf"), -1e308])
+def test_places_beyond_the_earth_are_refused(x: float, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    bag = Bag()
+    for at in range(1, 4):
+        bag.add_pose(at * MS, at=(x, 0.0, 0.0))
+        bag.add_joints(at * MS, JOINTS, [0.1, 0.2])
+    error = refused(bag.write(tmp_path / "bag"), arm_map(parent="", pose="/pose"), tmp_path / "r.rrd", capfd)
+    assert f"a position of {abs(x):.4g} m, beyond any arm" in error
