@@ -20,8 +20,8 @@ def run(config: ImportConfig) -> int:
             print(found.toml, end="")
         if config.picture is not None:
             write_file(config.picture, found.picture())
-        told = {"source": config.source, "topics": found.topics, "map": found.toml}
-        write_json(told | {"streams": [one.as_json() for one in found.values]}, config.output.json)
+        shown = {"source": config.source, "topics": found.topics, "map": found.toml}
+        write_json(shown | {"streams": [one.as_json() for one in found.values]}, config.output.json)
         return 0
     result = import_source(config) if config.pairs is None else import_take(config, config.pairs)
     show(result)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 import contextlib
 import gc
 import queue
@@ -36,7 +37,7 @@ def without_long_pauses() -> Iterator[None]:
         gc.unfreeze()
 
 
-class CommandedRobot:
+class CommandedRobot(abc.ABC):
     """Carries out the commands of a session; a `SessionRobot`.
 
     stopped: fails with the reason when the robot stops without a command"""
@@ -56,10 +57,10 @@ class CommandedRobot:
         """Whether it may move: its thread then gets the priority of one that steers."""
         return True
 
+    @abc.abstractmethod
     def perform(self, command: object) -> Callable[[], Any]:
         """Carry a command out; the returned function assembles the answer, which may take longer than a control
         period."""
-        raise NotImplementedError
 
     def rest(self) -> bool:
         """Called between commands, in its thread: rest for a control period; returns whether it did."""

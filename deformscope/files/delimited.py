@@ -30,60 +30,10 @@ COLUMN_BYTES = 1 << 15
 BLOCK_BYTES = 1 << 22
 """How much is read at once."""
 MISSING = {"", "nan", "-nan", "na", "n/a", "#n/a", "#na", "null"}
-UNIT_WORDS = {
-    "N",
-    "mN",
-    "kN",
-    "gf",
-    "kgf",
-    "lbf",
-    "Nm",
-    "N·m",
-    "N*m",
-    "mNm",
-    "Nmm",
-    "m",
-    "cm",
-    "mm",
-    "um",
-    "µm",
-    "s",
-    "ms",
-    "us",
-    "µs",
-    "ns",
-    "sec",
-    "deg",
-    "°",
-    "rad",
-    "Pa",
-    "kPa",
-    "hPa",
-    "MPa",
-    "bar",
-    "V",
-    "mV",
-    "A",
-    "mA",
-    "°C",
-    "C",
-    "K",
-    "Hz",
-    "%",
-    "-",
-    "counts",
-    "m/s",
-    "mm/s",
-    "rad/s",
-    "deg/s",
-    "°/s",
-    "g",
-    "kg",
-    "N m",
-    "mN m",
-    "N mm",
-    "deg C",
-}
+UNIT_WORDS = {"N", "mN", "kN", "gf", "kgf", "lbf", "g", "kg", "Nm", "N·m", "N*m", "N m", "mNm", "mN m", "Nmm", "N mm"}
+UNIT_WORDS |= {"m", "cm", "mm", "um", "µm", "s", "ms", "us", "µs", "ns", "sec", "m/s", "mm/s", "Hz"}
+UNIT_WORDS |= {"deg", "°", "rad", "rad/s", "deg/s", "°/s", "Pa", "kPa", "hPa", "MPa", "bar"}
+UNIT_WORDS |= {"V", "mV", "A", "mA", "°C", "C", "deg C", "K", "%", "-", "counts"}
 SPELLINGS = {"Nm": "N m", "N·m": "N m", "N*m": "N m", "mNm": "mN m", "Nmm": "N mm", "sec": "s", "µs": "us"}
 SPELLINGS |= {"µm": "um", "°": "deg", "°C": "deg C", "°/s": "deg/s", "-": "", "1": ""}
 _NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?|[+-]?inf(?:inity)?", re.ASCII)
@@ -129,8 +79,13 @@ class TableForm:
         said += [f"{self.before} line{'s' * (self.before > 1)} before its header"] if self.before else []
         without = f"no header after {self.skipped} lines" if self.skipped else "no header"
         said += [f"{without}: columns are named by their places"] if self.names[0] == "#1" and not self.before else []
-        said += [f"its last line is cut and left out: {self.cut[:60]!r}"] if self.cut else []
+        said += [cut_words(self.cut)] if self.cut else []
         return "".join(f", {one}" for one in said)
+
+
+def cut_words(cut: str) -> str:
+    """What a person reads of a last line that was cut off."""
+    return f"its last line is cut and left out: {cut[:60]!r}"
 
 
 def unique_names(names: Sequence[str]) -> tuple[str, ...]:
@@ -252,7 +207,7 @@ class _Looked:
         self._data = block[self._heads :]
         self.is_named = self._heads > 0 and not (skip_rows and first)
         given = [one for row in self._data for one in row if not _is_missing(one)]
-        known = sum(bool(_NUMBER.fullmatch(one) or _MOMENT.fullmatch(one)) for one in given)
+        known = sum(map(_is_value, given))
         share, order = round(known / max(len(given), 1), 3), -list(SEPARATORS).index(separator)
         # one column of decimal commas reads as well as two of whole numbers: where the header has two, they are two
         is_likely = share >= 0.5 and self.is_named and self.width > 1
@@ -313,11 +268,10 @@ class _Looked:
         is_cut = len(row) < self.width
         if len(row) == self.width and at and not tail[at - 1].endswith(("\n", "\r")):
             lasts = [one[-1] for one in before if len(one) == self.width]
-            decimals = {len(re.split("[.,]", one)[-1]) if {*one} & {*".,"} else 0 for one in lasts}
+            decimals = {*map(_decimals, lasts)}
             is_number = all(map(_NUMBER.fullmatch, lasts)) and lasts
-            own = len(re.split("[.,]", row[-1])[-1]) if {*row[-1]} & {*".,"} else 0
             is_cut = bool(is_number) and (
-                not _NUMBER.fullmatch(row[-1]) or (len(decimals) == 1 and own < max(decimals))
+                not _NUMBER.fullmatch(row[-1]) or (len(decimals) == 1 and _decimals(row[-1]) < max(decimals))
             )
         return "".join(tail[at - (is_cut and at > 0) :])
 
@@ -328,14 +282,13 @@ def _heads(block: Sequence[Sequence[str]]) -> int:
     of_numbers = [
         at
         for at, found in enumerate(below)
-        if not all(map(_is_missing, found))
-        and all(_is_missing(one) or _NUMBER.fullmatch(one) or _MOMENT.fullmatch(one) for one in found)
+        if not all(map(_is_missing, found)) and all(_is_missing(one) or _is_value(one) for one in found)
     ]
     if not of_numbers:
         return 1
     for at, row in enumerate(block):
         given = [row[one] for one in of_numbers if row[one]]
-        if any(_NUMBER.fullmatch(one) or _MOMENT.fullmatch(one) for one in given) or not given:
+        if any(map(_is_value, given)) or not given:
             # a name may be a number too: where all below it are, and another is none
             texts = [one for one in of_numbers if not _is_missing(row[one]) and not _NUMBER.fullmatch(row[one])]
             rest = [other[one] for other in block[1:] for one in texts]
@@ -345,7 +298,17 @@ def _heads(block: Sequence[Sequence[str]]) -> int:
 
 
 def _is_data(row: Sequence[str]) -> bool:
-    return 2 * sum(bool(_NUMBER.fullmatch(one) or _MOMENT.fullmatch(one)) for one in row) >= len(row)
+    return 2 * sum(map(_is_value, row)) >= len(row)
+
+
+def _is_value(text: str) -> bool:
+    """Whether it is a number, a time of day or a date."""
+    return bool(_NUMBER.fullmatch(text) or _MOMENT.fullmatch(text))
+
+
+def _decimals(number: str) -> int:
+    """How many digits it has after its point or comma."""
+    return len(re.split("[.,]", number)[-1]) if {*number} & {*".,"} else 0
 
 
 def _is_missing(text: str) -> bool:

@@ -149,14 +149,15 @@ def depth_of_points(stream: MappedStream, points: FloatArray, missed: Counter[st
     """Distances along z of points (H, W, 3): in their order if H > 1, else projected into the map's camera, with the
     nearest point for each pixel. missed: counts points that this camera does not see. Raises InputError for points
     that are not of a camera that looks along z, with x to the right and y down."""
-    points = points[..., ["xyz".index(one[-1]) for one in _axes(stream)]]
-    points = points * [-1.0 if one.startswith("-") else 1.0 for one in _axes(stream)]
+    axes = _axes(stream)
+    points = points[..., ["xyz".index(one[-1]) for one in axes]]
+    points = points * [-1.0 if one.startswith("-") else 1.0 for one in axes]
     x, y, z = (points[..., at] for at in range(3))
     finite = np.isfinite(points).all(axis=-1)
     front, behind = finite & (z > 0), np.count_nonzero(finite & (z < 0))
     if behind > np.count_nonzero(front):
         came = f"{behind} of {np.count_nonzero(finite)} points behind it (z < 0)"
-        raise _of_other_axes(stream, f"points in front of the camera, along {_axes(stream)[2]}", came)
+        raise _of_other_axes(stream, f"points in front of the camera, along {axes[2]}", came)
     if len(points) > 1:
         for name, across, place in (("right", x, 1), ("down", y, 0)):
             near = front & (np.abs(across) < 1e3 * z)

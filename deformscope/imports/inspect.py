@@ -80,8 +80,8 @@ class Found:
         about = {name: self.cells.get(name, "" if self.topic.kind else unit) for name, unit in self.topic.units.items()}
         columns = ", ".join(f"{name} ({one})" if one and one not in name else name for name, one in about.items())
         columns = f", columns {columns}" if columns else ""
-        told = f"{self.topic.form}{rate}{clock}{frames}{joints}{columns}{self.unread}"
-        return f"{self.topic.name}: {self.topic.type}, {self.seen.count} messages{told}"
+        details = f"{self.topic.form}{rate}{clock}{frames}{joints}{columns}{self.unread}"
+        return f"{self.topic.name}: {self.topic.type}, {self.seen.count} messages{details}"
 
 
 def inspect(reader: Reader) -> list[Found]:

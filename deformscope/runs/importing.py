@@ -14,6 +14,7 @@ from deformscope.config import ImportConfig
 from deformscope.errors import InputError, printable
 from deformscope.experiments.live.live_stages import StageCounts, live_stages
 from deformscope.file_io import none_larger, refusal
+from deformscope.files.delimited import cut_words
 from deformscope.files.motions import parse_motion
 from deformscope.files.pairs import parse_pair
 from deformscope.frames import HealthReport
@@ -169,7 +170,7 @@ def _result(
             losses[name] = losses.get(name, {}) | {"unseen": devices[name].received}
             rows.append((name, _likely(one)))
     cuts = {one.name: one.cut for one in source.topics.values() if one.cut}
-    rows += [(name, f"its last line is cut and left out: {cut[:60]!r}") for name, cut in cuts.items()]
+    rows += [(name, cut_words(cut)) for name, cut in cuts.items()]
     gaps_s = {name: gap_s for name, gap_s in source.gaps_s.items() if gap_s * devices[name].rate_hz > LONG_GAP}
     rows += [(name, f"longest gap {gap_s:.4g} s") for name, gap_s in gaps_s.items()]
     rows += [(f"stage {name}", counts.to_text()) for name, counts in stages.items()]
