@@ -327,7 +327,7 @@ def _walk(case: VideoCase, rng: np.random.Generator) -> Floats:
     shift = np.sqrt((smooth[:, :2] ** 2).sum(axis=1).mean())
     rest = np.sqrt((smooth[:, 2:] ** 2).mean(axis=0))
     rms = case.shake_px * np.array([1.0, 1.0, 1e-3, 2e-4])
-    return smooth / np.array([shift, shift, *rest]) * rms
+    return np.asarray(smooth / np.array([shift, shift, *rest]) * rms)
 
 
 def _through(camera: Floats, place: Floats) -> Floats:
@@ -426,7 +426,7 @@ class Scene:
 
     def shades(self, motion: Motion, raised: float, camera: Floats) -> Floats:
         """(H, W, 3) colours without light, lens and noise."""
-        back = np.linalg.inv(camera)
+        back = np.asarray(np.linalg.inv(camera), dtype=np.float64)
         world = _through(back, self.pixels)
         lifted = world - np.array([0.0, raised])
         left = np.ones(len(world))

@@ -174,7 +174,9 @@ class _Assembly:
         half = np.einsum("eq,eqijkl,eqml->eqijkm", self.weight, tangent, self.slopes, optimize=True)
         block = np.einsum("eqijkm,eqnj->enimk", half, self.slopes, optimize=True)
         total = np.bincount(self.dofs.ravel(), force.ravel(), self.size)
-        return total, coo_matrix((block.ravel(), (self.rows, self.columns)), shape=(self.size, self.size)).tocsr()
+        return np.asarray(total, dtype=np.float64), coo_matrix(
+            (block.ravel(), (self.rows, self.columns)), shape=(self.size, self.size)
+        ).tocsr()
 
     def across(self, log_area: Floats) -> Floats:
         """The stretch across the sheet at which the stress there is zero: mu (c^2 - 1) + lambda ln(area c) = 0."""
