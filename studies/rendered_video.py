@@ -75,7 +75,7 @@ class VideoCase:
     before it touches; rest, ramp: images before the tool moves, and while it does; fill: width of the block as a share
     of the image's; shake_px: rms shift of the camera, which also turns; tilt_deg: angle between the view and the
     block's normal; shadow: share of light that a moving soft shadow takes; flicker: share of light; noise: deviation of
-    a grey value; hand: whether one holds the tool; contrast: of the foam's texture
+    a grey value; hand: whether one holds the tool; contrast: deviation of the foam's texture
 
     What spoils a video: pan_px: shift of the camera from the first image to the last; zoom: growth of the picture;
     turn_deg: further tilt at the last image; blur_px: deviation of a blur; exposure: gain"""
@@ -164,10 +164,10 @@ class ForceLog:
 class RenderedVideo:
     """Images (H, W, 3) uint8, RGB, and their truth.
 
-    depth_m, force_n: (n,) of the tool at each image; stiffness_n_per_mm: the last force over the last depth;
+    depth_m, force_n: (n,) depth of the tool and its force at each image; stiffness_n_per_mm: the last force over the last depth;
     outline, tool: corners (k, 2) in the first image [px]; roi: rectangle x, y, width, height around the outline;
     contact: rectangle below the tool, a sixth of the block high; held: `--held` that says what is moved from outside;
-    px_per_cm: at the block's middle; cameras: (n, 3, 3) world to image; motions: of the block at each image"""
+    px_per_cm: at the block's middle; cameras: (n, 3, 3) world to image; motions: the block at each image"""
 
     case: VideoCase
     frames: list[Images]
