@@ -164,7 +164,8 @@ class ForceLog:
 class RenderedVideo:
     """Images (H, W, 3) uint8, RGB, and their truth.
 
-    depth_m, force_n: (n,) depth of the tool and its force at each image; stiffness_n_per_mm: the last force over the last depth;
+    depth_m, force_n: (n,) depth of the tool and its force at each image; stiffness_n_per_mm:
+    the last force over the last depth;
     outline, tool: corners (k, 2) in the first image [px]; roi: rectangle x, y, width, height around the outline;
     contact: rectangle below the tool, a sixth of the block high; held: `--held` that says what is moved from outside;
     px_per_cm: at the block's middle; cameras: (n, 3, 3) world to image; motions: the block at each image"""
