@@ -3,7 +3,7 @@
 video = render(case(2000))
 write(video, Path("runs/sponge"))     # video.mp4, force.csv, truth.json
 
-The block is a sheet in plane stress (`studies.independent.neo_hookean`); nothing here is shared with what is fitted.
+The block is a sheet in plane stress (`studies.independent.large_strain`); nothing here is shared with what is fitted.
 Each image is made backwards: for each pixel the place at rest of the point that is seen there, by Newton's method on
 the finite elements' own functions. The texture there, a spline without details below a pixel, is the pixel's shade.
 
@@ -28,7 +28,7 @@ import numpy.typing as npt
 from scipy import ndimage
 from scipy.interpolate import CubicSpline
 
-from studies.independent.neo_hookean import Bools, Floats, Motion, Sheet
+from studies.independent.large_strain import Bools, Floats, Law, Motion, Sheet
 
 Images = npt.NDArray[np.uint8]
 Holding = Literal["tool", "plate", "clamped"]
@@ -84,6 +84,7 @@ class VideoCase:
     holding: Holding = "tool"
     modulus_pa: float = 40e3
     poisson: float = 0.2
+    law: Law = "neo-hooke"
     size_m: tuple[float, float, float] = (0.12, 0.05, 0.04)
     tool_m: float = 0.04
     tool_at_m: float = 0.0
@@ -94,7 +95,7 @@ class VideoCase:
     height_px: int = 480
     frames: int = 30
     fps: float = 30.0
-    rest: int = 4
+    rest: int = 6
     ramp: int = 20
     fill: float = 0.6
     contrast: float = 0.2
@@ -113,7 +114,8 @@ class VideoCase:
 
 
 def case(seed: int, **changes: Any) -> VideoCase:
-    """The case of a seed: kinds of holding in turn, all else drawn. changes: fields that are given instead"""
+    """The case of a seed: kinds of holding in turn, all else drawn; its log is that of a load cell, or of a scale.
+    changes: fields that are given instead"""
     rng = np.random.default_rng([seed, 50])
     holding = HOLDINGS[seed % len(HOLDINGS)]
     width, thickness = float(rng.uniform(0.08, 0.15)), float(rng.uniform(0.01, 0.06))
@@ -124,13 +126,12 @@ def case(seed: int, **changes: Any) -> VideoCase:
     at = float(rng.uniform(-0.5, 0.5) * reach)
     if holding == "clamped" and len(clamps) == 1:
         at = float(rng.uniform(0.4, 0.8) * reach)
-    log = LogCase(
-        rate_hz=float(rng.choice([10.0, 50.0, 100.0])),
-        offset_s=float(rng.uniform(0.0, 5.0)),
-        step_n=1e-3 * GRAVITY,
-        lag_s=float(rng.uniform(0.0, 0.3)),
-        unit=str(rng.choice(["N", "g"])),  # type: ignore[arg-type]
-    )
+    offset, rate, lag = rng.uniform(0.0, 5.0), rng.choice([50.0, 100.0, 200.0]), rng.uniform(0.0, SCALE.lag_s)
+    log = LogCase(float(rate), noise_n=2e-3)
+    if rng.random() < 0.5:
+        log = dataclasses.replace(SCALE, lag_s=float(lag))
+    log = dataclasses.replace(log, offset_s=float(offset))
+    slow = {} if "fps" in changes or log.unit == "N" else {"fps": 10.0}  # whoever reads a scale presses slowly
     drawn = VideoCase(
         seed,
         holding,
@@ -148,7 +149,7 @@ def case(seed: int, **changes: Any) -> VideoCase:
         log=log,
     )
     ramp = {} if "ramp" in changes else {"ramp": (changes.get("frames", drawn.frames) * 2) // 3}
-    return dataclasses.replace(drawn, **ramp, **changes)
+    return dataclasses.replace(drawn, **ramp, **slow, **changes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,7 +272,7 @@ def pressed(case: VideoCase, depth: Floats) -> tuple[tuple[Motion, ...], Floats]
     stops = [one for index, one in enumerate(stops) if index == 0 or one - stops[index - 1] > 1e-9]
     parts = [np.linspace(a, b, max(2, round((b - a) / height * CELLS)) + 1)[:-1] for a, b in itertools.pairwise(stops)]
     lines = np.append(np.concatenate(parts), stops[-1])
-    sheet = Sheet(lines, np.linspace(0.0, height, CELLS + 1), case.modulus_pa, case.poisson)
+    sheet = Sheet(lines, np.linspace(0.0, height, CELLS + 1), case.modulus_pa, case.poisson, case.law)
     place = sheet.nodes()
     touched = np.zeros(sheet.shape, dtype=np.bool_)
     touched[:, -1] = (place[:, -1, 0] > low - 1e-9) & (place[:, -1, 0] < high + 1e-9)
@@ -554,10 +555,10 @@ def write(video: RenderedVideo, folder: Path, *, mbit: float = 4.0, name: str = 
     It is H.264 where PyAV is installed (`pip install av`), else MPEG-4 Part 2 of OpenCV."""
     folder.mkdir(parents=True, exist_ok=True)
     coded = encode(video.frames, video.fps, folder / name, mbit)
-    column = "force_n" if video.log.unit == "N" else "mass_g"
+    column = "force [N]" if video.log.unit == "N" else "weight [g]"
     digits = 4 if video.log.unit == "N" else 2
     rows = [f"{t:.3f},{v:.{digits}f}" for t, v in zip(video.log.time_s, video.log.value, strict=True)]
-    (folder / "force.csv").write_text("\n".join([f"time_s,{column}", *rows, ""]), encoding="utf-8")
+    (folder / "force.csv").write_text("\n".join([f"time [s],{column}", *rows, ""]), encoding="utf-8")
     (folder / "truth.json").write_text(json.dumps(truth(video), indent=1) + "\n", encoding="utf-8")
     return coded
 

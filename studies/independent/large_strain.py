@@ -1,7 +1,8 @@
-"""Large deformations of a rectangular sheet in plane stress: compressible neo-Hookean, quadratic elements, SciPy alone.
+"""Large deformations of a rectangular sheet in plane stress: two elastic laws, quadratic elements, SciPy alone.
 
-Energy per volume at rest, of the right stretches (a, b, c) with J = a b c:
-mu / 2 (a^2 + b^2 + c^2 - 3 - 2 ln J) + lambda / 2 (ln J)^2 (Bonet and Wood, Nonlinear Continuum Mechanics, 6.4.3).
+Energy per volume at rest, of the stretches (a, b, c) with J = a b c, and of Green's strain G:
+neo-hooke: mu / 2 (a^2 + b^2 + c^2 - 3 - 2 ln J) + lambda / 2 (ln J)^2 (Bonet and Wood, Nonlinear Continuum Mechanics,
+6.4.3), which stiffens under pressure; saint-venant: mu G:G + lambda / 2 (tr G)^2, which softens as foams do.
 The stretch c across the sheet makes the stress there zero. At small strains mu and lambda are Lame's constants:
 Young's modulus E and Poisson's ratio nu are those of Hooke's law."""
 
@@ -9,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +20,7 @@ from scipy.sparse.linalg import splu
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]
+Law = Literal["neo-hooke", "saint-venant"]
 
 _AT = np.array([-np.sqrt(0.6), 0.0, np.sqrt(0.6)])
 _WEIGHT = np.array([5.0, 8.0, 5.0]) / 9.0
@@ -82,6 +84,7 @@ class Sheet:
     ys: Floats
     modulus_pa: float
     poisson: float
+    law: Law = "neo-hooke"
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -115,6 +118,7 @@ class _Assembly:
 
     def __init__(self, sheet: Sheet) -> None:
         self.mu = sheet.modulus_pa / (2.0 * (1.0 + sheet.poisson))
+        self.law = sheet.law
         self.lam = sheet.modulus_pa * sheet.poisson / ((1.0 + sheet.poisson) * (1.0 - 2.0 * sheet.poisson))
         nx, ny = sheet.shape
         number = np.arange(nx * ny).reshape(nx, ny)
@@ -158,6 +162,17 @@ class _Assembly:
     def assemble(self, moved: Floats) -> tuple[Floats, Any]:
         """Forces on the nodes (n,), and their slopes, a sparse matrix."""
         grad = self.gradient(moved)
+        stress, tangent = self.neo_hooke(grad) if self.law == "neo-hooke" else self.saint_venant(grad)
+        force = np.einsum("eq,eqij,eqnj->eni", self.weight, stress, self.slopes, optimize=True)
+        half = np.einsum("eq,eqijkl,eqml->eqijkm", self.weight, tangent, self.slopes, optimize=True)
+        block = np.einsum("eqijkm,eqnj->enimk", half, self.slopes, optimize=True)
+        total = np.bincount(self.dofs.ravel(), force.ravel(), self.size)
+        return np.asarray(total, dtype=np.float64), coo_matrix(
+            (block.ravel(), (self.rows, self.columns)), shape=(self.size, self.size)
+        ).tocsr()
+
+    def neo_hooke(self, grad: Floats) -> tuple[Floats, Floats]:
+        """First Piola-Kirchhoff stress (element, place, 2, 2) and its slopes (.., 2, 2, 2, 2)."""
         area = np.linalg.det(grad)
         turned = np.swapaxes(np.linalg.inv(grad), -1, -2)  # inverse transposed
         across = self.across(np.log(area))
@@ -170,13 +185,19 @@ class _Assembly:
             "eqil,eqkj->eqijkl", turned, turned
         )
         tangent = tangent + eased[..., None, None, None, None] * np.einsum("eqij,eqkl->eqijkl", turned, turned)
-        force = np.einsum("eq,eqij,eqnj->eni", self.weight, stress, self.slopes, optimize=True)
-        half = np.einsum("eq,eqijkl,eqml->eqijkm", self.weight, tangent, self.slopes, optimize=True)
-        block = np.einsum("eqijkm,eqnj->enimk", half, self.slopes, optimize=True)
-        total = np.bincount(self.dofs.ravel(), force.ravel(), self.size)
-        return np.asarray(total, dtype=np.float64), coo_matrix(
-            (block.ravel(), (self.rows, self.columns)), shape=(self.size, self.size)
-        ).tocsr()
+        return stress, tangent
+
+    def saint_venant(self, grad: Floats) -> tuple[Floats, Floats]:
+        """As `neo_hooke`."""
+        one = np.eye(2)
+        eased = 2.0 * self.mu * self.lam / (2.0 * self.mu + self.lam)
+        green = 0.5 * (np.einsum("eqki,eqkj->eqij", grad, grad) - one)
+        second = 2.0 * self.mu * green + eased * np.einsum("eqkk,ij->eqij", green, one)
+        stress = grad @ second
+        left = np.einsum("eqim,eqkm->eqik", grad, grad)
+        tangent = np.einsum("ik,eqjl->eqijkl", one, second) + self.mu * np.einsum("eqik,jl->eqijkl", left, one)
+        tangent = tangent + self.mu * np.einsum("eqil,eqkj->eqijkl", grad, grad)
+        return stress, tangent + eased * np.einsum("eqij,eqkl->eqijkl", grad, grad)
 
     def across(self, log_area: Floats) -> Floats:
         """The stretch across the sheet at which the stress there is zero: mu (c^2 - 1) + lambda ln(area c) = 0."""
