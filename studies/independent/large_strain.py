@@ -188,7 +188,7 @@ class _Assembly:
         return stress, tangent
 
     def saint_venant(self, grad: Floats) -> tuple[Floats, Floats]:
-        """As `neo_hooke`."""
+        """Stress and its slopes as in `neo_hooke`."""
         one = np.eye(2)
         eased = 2.0 * self.mu * self.lam / (2.0 * self.mu + self.lam)
         green = 0.5 * (np.einsum("eqki,eqkj->eqij", grad, grad) - one)

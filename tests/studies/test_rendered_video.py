@@ -197,7 +197,7 @@ def test_files_of_a_video_hold_its_images_readings_and_truth(tmp_path: Path) -> 
     while (one := film.read())[0]:
         read.append(one[1][..., ::-1])
     assert len(read) == len(video.frames)
-    assert film.get(cv2.CAP_PROP_FPS) == pytest.approx(30.0)
+    assert film.get(cv2.CAP_PROP_FPS) == pytest.approx(video.fps)
     assert np.abs(read[-1].astype(float) - video.frames[-1]).mean() < 6.0
     lines = (tmp_path / "force.csv").read_text().splitlines()
     assert lines[0] in ("time [s],force [N]", "time [s],weight [g]")
