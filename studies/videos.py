@@ -56,7 +56,7 @@ class FilmCase:
 class FilmOutcome:
     """What was found in one video. truth, value, low, high: (4,) of QUANTITIES, nan where there is none
 
-    frame_s: time between images; verdicts: those of stiffness and modulus; reasons: codes of what the result doubts; error:
+    frame_s: time between images; verdicts: those of stiffness and modulus; reasons: codes of its doubts; error:
     why there is no result; encoder: what made the file; overlap: intersection over union of the region; held, contact:
     whether they are right; unsure: whether the result says that they may be wrong"""
 
