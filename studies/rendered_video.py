@@ -131,7 +131,9 @@ def case(seed: int, **changes: Any) -> VideoCase:
     if rng.random() < 0.5:
         log = dataclasses.replace(SCALE, lag_s=float(lag))
     log = dataclasses.replace(log, offset_s=float(offset))
-    slow = {} if "fps" in changes or log.unit == "N" else {"fps": 10.0}  # whoever reads a scale presses slowly
+    slow: dict[str, Any] = (
+        {} if "fps" in changes or log.unit == "N" else {"fps": 10.0}
+    )  # whoever reads a scale presses slowly
     drawn = VideoCase(
         seed,
         holding,
@@ -148,7 +150,7 @@ def case(seed: int, **changes: Any) -> VideoCase:
         hand=bool(rng.random() < 0.7),
         log=log,
     )
-    ramp = {} if "ramp" in changes else {"ramp": (changes.get("frames", drawn.frames) * 2) // 3}
+    ramp: dict[str, Any] = {} if "ramp" in changes else {"ramp": (changes.get("frames", drawn.frames) * 2) // 3}
     return dataclasses.replace(drawn, **ramp, **slow, **changes)
 
 

@@ -117,9 +117,10 @@ def fitted(video: RenderedVideo, folder: Path, known: Mapping[str, Any], encoder
         frame_s = 1.0 / video.fps
         return FilmOutcome(made.seed, made.holding, frame_s, truth, nothing, nothing, nothing, error=why)
     found: dict[str, Any] = result.to_dict()
+    settings: dict[str, Any] = dict(result.settings)
     numbers = [_numbers(found.get(key)) for key in KEYS]
     value, low, high = (tuple(one[at] for one in numbers) for at in range(3))
-    overlap, held, contact = compared(video, result.settings)
+    overlap, held, contact = compared(video, settings)
     reasons = tuple(one["code"] for one in found["reasons"])
     return FilmOutcome(
         made.seed,
@@ -138,7 +139,7 @@ def fitted(video: RenderedVideo, folder: Path, known: Mapping[str, Any], encoder
         overlap=overlap,
         held=held,
         contact=contact,
-        unsure=bool(result.settings.get("found", {}).get("doubts")),
+        unsure=bool(settings.get("found", {}).get("doubts")),
     )
 
 
