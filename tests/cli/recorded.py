@@ -1,6 +1,10 @@
 """What the recording of a command shows: it verifies, and its pictures and tables are in its views."""
 
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -8,6 +12,23 @@ from rerun.chunk import RrdReader
 
 from deformscope.recording.reader import Replay
 from tests.verified import verify_here
+
+
+@dataclass(frozen=True, slots=True)
+class Explored:
+    """A recording of an exploration, and what the command said."""
+
+    touches: int
+    record: Path
+    out: str
+    err: str
+
+    @property
+    def found(self) -> Any:
+        return json.loads(self.record.with_suffix(".json").read_text())
+
+
+Explore = Callable[..., Explored]
 
 
 def assert_shows(

@@ -1,6 +1,5 @@
 """`explore` as a user calls it, through the real drivers on doubles."""
 
-import contextlib
 import dataclasses
 import io
 import json
@@ -10,7 +9,6 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
@@ -38,35 +36,9 @@ from deformscope_drivers.clock import Stamp
 from studies.fault_study import ALLOWED_S, AS_IT_MOVES, turned_aside_deg
 from tests.cases import Capture, Patch
 from tests.cli.quick_scene import use_quick_scene
+from tests.cli.recorded import Explored
 from tests.patience import PATIENCE_S
 from tests.verified import verify_here
-
-
-@dataclass(frozen=True, slots=True)
-class Explored:
-    """A recording of an exploration, and what the command said."""
-
-    touches: int
-    record: Path
-    out: str
-    err: str
-
-    @property
-    def found(self) -> Any:
-        return json.loads(self.record.with_suffix(".json").read_text())
-
-
-@pytest.fixture(scope="module", params=[1, pytest.param(2, marks=pytest.mark.slow)], ids="{}-touches".format)
-def explored(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Explored:
-    """Finite elements, maps and pictures as users get them."""
-    record = tmp_path_factory.mktemp("explored") / "e.rrd"
-    files = {"--record": "rrd", "--json": "json", "--picture": "png", "--map": "npz"}
-    arguments = ["explore", "lab:two-60-150", "--touches", str(request.param), "--viewer", "none"]
-    arguments += ["--beta-model", "none"]
-    arguments += [word for flag, kind in files.items() for word in (flag, str(record.with_suffix(f".{kind}")))]
-    with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.redirect_stderr(io.StringIO()) as err:
-        assert main(arguments) == 0
-    return Explored(request.param, record, out.getvalue(), err.getvalue())
 
 
 def test_a_simulated_table_is_explored(explored: Explored) -> None:

@@ -1,6 +1,5 @@
 """What lies between frames and estimates of `explore` is recorded as it was computed."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -9,37 +8,17 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from deformscope import open_recording
-from deformscope.cli import main
 from deformscope.experiments.measured import SetupGeometry
 from deformscope.frames import ArmFrame, DepthFrame
 from deformscope.recording.items import read_items, read_results, read_series
 from deformscope.recording.reader import Replay
-from deformscope.stages.map.exploration import MapEstimate, PlannedTouch, SurfaceEstimate, TouchEstimate
+from deformscope.stages.map.exploration import SurfaceEstimate, TouchEstimate
 from deformscope.stages.map.force_pose import ForcePose
 from deformscope.stages.map.measured import TouchFrames
 from deformscope.stages.map.perception import LookPerception, TouchPerception
 from deformscope.stages.see.pixel_labels import PixelLabel
 from deformscope_drivers.arm.kinematics import rotation_from_euler_xyz, transform
-from tests.cli.quick_scene import use_quick_scene
-
-Explore = Callable[..., Path]
-
-
-@pytest.fixture(scope="module")
-def explore(tmp_path_factory: pytest.TempPathFactory) -> Explore:
-    """Records an exploration of one touch; each only once."""
-    folder = tmp_path_factory.mktemp("perception")
-
-    def recorded(*flags: str) -> Path:
-        path = folder / f"explored{'-'.join(flags)}.rrd"
-        if not path.exists():
-            command = ["explore", "lab:two-60-150", "--touches", "1", "--seed", "3", "--viewer", "none"]
-            with pytest.MonkeyPatch.context() as monkeypatch:
-                use_quick_scene(monkeypatch)
-                assert main([*command, *flags, "--record", str(path)]) == 0
-        return path
-
-    return recorded
+from tests.cli.recorded import Explore
 
 
 def of(path: Path, kind: type) -> list[Any]:
@@ -48,7 +27,7 @@ def of(path: Path, kind: type) -> list[Any]:
 
 @pytest.mark.slow
 def test_labels_are_a_partition_of_the_recorded_depth_images(explore: Explore) -> None:
-    path = explore()
+    path = explore().record
     depth = {one.stamp.host_ns: one.depth for one in read_items(path, trust=True, kinds=(DepthFrame,))}
     (look,), (touch,) = of(path, LookPerception), of(path, TouchPerception)
     (surface,) = of(path, SurfaceEstimate)
@@ -65,7 +44,7 @@ def test_labels_are_a_partition_of_the_recorded_depth_images(explore: Explore) -
 
 
 def test_force_and_pose_are_the_forces_rows_with_the_arm_between_its_states(explore: Explore) -> None:
-    path = explore()
+    path = explore().record
     (felt,) = read_series(path, ForcePose, trust=True)
     (used,) = of(path, TouchFrames)
     np.testing.assert_array_equal(felt.host_ns, used.wrench_ns)
@@ -95,7 +74,7 @@ def test_force_and_pose_are_the_forces_rows_with_the_arm_between_its_states(expl
 
 
 def test_the_surface_under_a_touch_dents_where_it_was_touched(explore: Explore) -> None:
-    path = explore()
+    path = explore().record
     (perception,), (touch,) = of(path, TouchPerception), of(path, TouchEstimate)
     under = perception.surface
     assert np.linalg.norm(under.dent.after[np.argmax(under.dent.sunk_m)][:2] - touch.xyz_m[:2]) < 0.011  # a cell
@@ -108,7 +87,7 @@ def test_the_surface_under_a_touch_dents_where_it_was_touched(explore: Explore) 
 
 @pytest.mark.parametrize("planner", ["regions", pytest.param("thesis", marks=pytest.mark.slow)])
 def test_the_error_over_beta_has_the_estimate_among_what_was_tried(planner: str, explore: Explore) -> None:
-    path = explore(*(["--planner", "thesis"] if planner == "thesis" else []))
+    path = explore(*(["--planner", "thesis"] if planner == "thesis" else [])).record
     (perception,), (touch,) = of(path, TouchPerception), of(path, TouchEstimate)
     assert perception.estimate == touch.beta
     assert touch.beta in perception.error.parameter
@@ -120,21 +99,9 @@ def test_the_error_over_beta_has_the_estimate_among_what_was_tried(planner: str,
         assert len(perception.beta.place_m) > 4
 
 
-@pytest.mark.slow
-def test_a_replay_computes_all_of_it_again(explore: Explore, capsys: pytest.CaptureFixture[str]) -> None:
-    path = explore()
-    with pytest.MonkeyPatch.context() as monkeypatch:
-        use_quick_scene(monkeypatch)
-        assert main(["replay", str(path), "--viewer", "none"]) == 0
-    shown = " ".join("".join(capsys.readouterr()).split())
-    kinds = (LookPerception, TouchPerception, SurfaceEstimate, PlannedTouch, TouchEstimate, MapEstimate)
-    assert f"{len(list(read_results(path, kinds, trust=True)))} results" in shown
-    assert "identical to the recorded numbers" in shown
-
-
 def test_the_frames_are_one_tree(explore: Explore) -> None:
     parents = {}
-    for chunk in Replay(explore(), trust=True).chunks("/display/perception/frames/**"):
+    for chunk in Replay(explore().record, trust=True).chunks("/display/perception/frames/**"):
         batch = chunk.to_record_batch()
         frames = (batch.column(f"Transform3D:{end}_frame").to_pylist() for end in ("child", "parent"))
         parents |= {child: parent for (child,), (parent,) in zip(*frames, strict=True)}
