@@ -138,20 +138,21 @@ class StandingContainer(SqueezedContainer):
         self._links = links
         self._stood, self._gripped = self.T_table_container, None
         pose, half_m = self._stood, np.array(self.shape.half_m)
-        for capsule in self.robot():
-            points = capsule.start_m + np.linspace(0.0, 1.0, 9)[:, None] * (capsule.end_m - capsule.start_m)
-            own = (points - pose[:3, 3]) @ pose[:3, :3]
-            apart = outside_m(own, half_m, round=self.shape.kind == "cylinder") - capsule.radius_m
-            at = int(apart.argmin())
-            if apart[at] >= -1e-4:
-                continue
-            way = pose[:2, 3] - points[at, :2]
-            way = way / max(float(np.linalg.norm(way)), 1e-9)
-            if not self.toppled and TABLE_FRICTION * points[at, 2] > min(self.shape.half_m[:2]):
-                self.topple(way)
-            else:
-                self.shift(*(-apart[at] * way))
+        robot, shares = self.robot(), np.linspace(0.0, 1.0, 9)[:, None]
+        points = np.stack([one.start_m + shares * (one.end_m - one.start_m) for one in robot])
+        own = (points - pose[:3, 3]) @ pose[:3, :3]
+        apart = outside_m(own, half_m, round=self.shape.kind == "cylinder")
+        apart -= np.array([one.radius_m for one in robot])[:, None]
+        hits = np.flatnonzero(apart.min(axis=1) < -1e-4)
+        if not hits.size:
             return
+        first = hits[0], apart[hits[0]].argmin()
+        way = pose[:2, 3] - points[first][:2]
+        way = way / max(float(np.linalg.norm(way)), 1e-9)
+        if not self.toppled and TABLE_FRICTION * points[first][2] > min(self.shape.half_m[:2]):
+            self.topple(way)
+        else:
+            self.shift(*(-apart[first] * way))
 
     def reach_deg(
         self, position_deg: Sequence[float], wanted_deg: Sequence[float], current_a: Sequence[float], step_s: float

@@ -25,6 +25,8 @@ from tests.cases import slow_but
 from tests.experiments.toy_squeeze import spoil_arrays
 
 S = 1_000_000_000
+NEAR = "box-03"
+"""A container to which the KUKA's way is short."""
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +73,7 @@ def test_grasps_are_the_same_for_the_same_seed(good: PlacedTrial) -> None:
 
 
 def test_something_on_the_way_stops_the_arm_and_it_backs_off() -> None:
-    trial = PlacedTrial("kuka")
+    trial = PlacedTrial("kuka", NEAR)
     trial.at("approach", lambda: trial.lab.simulated.injected_n.__setitem__(0, 2.5))
     found = trial.go()
     assert found.stop.kind == "force above the soft stop"
@@ -309,7 +311,7 @@ LIMITS = [({"over_squeeze_m": 0.0008}, "container over-squeezed"), ({"still_time
 
 @pytest.mark.parametrize(("limit", "kind"), slow_but([LIMITS[0]], LIMITS))
 def test_after_a_stop_the_fingers_open_though_an_arm_carries_the_hand(limit: dict[str, float], kind: str) -> None:
-    trial = PlacedTrial("kuka")
+    trial = PlacedTrial("kuka", NEAR)
     trial.setup = replace(trial.setup, squeeze=replace(trial.setup.squeeze, **limit))
     found = trial.go()
     assert found.stop.kind == kind
@@ -334,7 +336,7 @@ def test_an_arm_that_is_pushed_while_the_fingers_open_lets_them_open_and_does_no
 
 
 def test_an_arm_that_cannot_be_watched_any_more_is_a_stop_with_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
-    trial = PlacedTrial("kuka")
+    trial = PlacedTrial("kuka", NEAR)
 
     def lost(**named: bool) -> object:
         raise LinkLost("the arm's port", "it is gone")
