@@ -5,7 +5,7 @@ import shutil
 import signal
 import subprocess
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import cast
 
@@ -25,6 +25,7 @@ from deformscope.runs.recovery import recover_recording
 from deformscope_drivers.clock import Stamp
 from tests.cases import Capture, Patch
 from tests.patience import PATIENCE_S
+from tests.verified import verify_here
 
 FRAMES = 12
 
@@ -62,15 +63,22 @@ def killed(made: tuple[Path, Path], tmp_path: Path) -> Path:
     return Path(shutil.copy(made[1], tmp_path / "run.part.rrd"))
 
 
-def verified(path: Path, capsys: Capture) -> tuple[int, dict[str, object], str]:
+def verified(
+    path: Path, capsys: Capture, command: Callable[..., int] = verify_here
+) -> tuple[int, dict[str, object], str]:
     """(exit status, JSON, what was said on stderr without the table)"""
-    status = main(["verify", str(path), "--json", "-"])
+    status = command(path, "--json", "-")
     said = capsys.readouterr()
     return status, json.loads(said.out), said.err
 
 
+def in_another_process(path: Path, *flags: str) -> int:
+    """As a user has it: damaged bytes may end the reader."""
+    return main(["verify", str(path), *flags])
+
+
 def test_a_whole_recording(whole: Path, capsys: Capture) -> None:
-    status, found, _ = verified(whole, capsys)
+    status, found, _ = verified(whole, capsys, in_another_process)
     assert (status, found["ok"], found["checked"], found["finished"]) == (0, True, True, True)
 
 
@@ -195,7 +203,7 @@ def test_bytes_that_end_the_reader_are_one_line(whole: Path, capsys: Capture, mo
     ledger_path(whole).unlink()
     aborted = subprocess.CompletedProcess([], -signal.SIGABRT, "", "")
     monkeypatch.setattr(recording_facts.subprocess, "run", lambda *args, **options: aborted)
-    status, found, said = verified(whole, capsys)
+    status, found, said = verified(whole, capsys, in_another_process)
     assert (status, found["ok"]) == (2, False)
     assert "its bytes end rerun's reader (SIGABRT)" in said.splitlines()[-1]
 
