@@ -301,7 +301,7 @@ def test_both_name_what_one_does(kind: str) -> None:
     assert "setting" in [reason["code"] for reason in shown["theta"]["reasons"]]  # type: ignore[index]
 
 
-@pytest.mark.parametrize("kind", ["two-materials", "axes-swapped"])
+@pytest.mark.parametrize("kind", ["two-materials", slow("axes-swapped")])
 def test_axes_name_what_one_beta_does(kind: str) -> None:
     seen = seen_sheet((0.2, 0.8)) if kind == "two-materials" else swapped(seen_sheet(0.6))
     found = fit_axes([seen], Model())

@@ -37,7 +37,9 @@ SPREAD = ((0.1, 0.1), (0.5, 0.3), (0.1, 0.3), (0.5, 0.1), (0.22, 0.2), (0.38, 0.
 
 
 def mapped(touches: list[StiffnessSample]) -> RegionPosterior:
-    return functools.reduce(RegionPosterior.with_touch, touches, RegionPosterior.before_touches(GRID))
+    return functools.reduce(
+        RegionPosterior.with_touch, touches, RegionPosterior.before_touches(GRID, particle_count=200)
+    )
 
 
 @pytest.fixture(scope="module")

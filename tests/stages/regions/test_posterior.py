@@ -36,7 +36,7 @@ def halves(contrast: float, seed: int = 0) -> list[StiffnessSample]:
     return touches(contrast * norm.cdf((x - 0.3) / 0.012) + noise)
 
 
-def posterior(seen: list[StiffnessSample], *, particle_count: int = 300, seed: int = 0) -> RegionPosterior:
+def posterior(seen: list[StiffnessSample], *, particle_count: int = 200, seed: int = 0) -> RegionPosterior:
     """With few particles: quick, and no less right on such plain surfaces."""
     nothing = RegionPosterior.before_touches(GRID, particle_count=particle_count, seed=seed)
     return functools.reduce(RegionPosterior.with_touch, seen, nothing)

@@ -23,7 +23,7 @@ from deformscope.stages.squeeze.trial_run import Answers, run_split
 from tests.cases import slow
 from tests.stages.squeeze.trials import blobs, noise, two_modalities
 
-FAST = EvaluationOptions(splits=12, curve_splits=0, protocols=("stratified",))
+FAST = EvaluationOptions(splits=6, curve_splits=0, protocols=("stratified",))
 ALL = (*NAMES, "pooled", "late-fusion")
 
 
@@ -33,7 +33,7 @@ def missing(table: LabelledTable) -> dict[str, np.ndarray]:
 
 @pytest.mark.parametrize(("classes", "columns"), [(2, 5), slow(4, 80)])
 def test_random_labels_give_every_classifier_the_no_information_rate(classes: int, columns: int) -> None:
-    options = dataclasses.replace(FAST, splits=16, level=0.99, protocols=("random", "stratified"))
+    options = dataclasses.replace(FAST, splits=8, level=0.99, protocols=("random", "stratified"))
     found = evaluate(noise(classes, 24, columns, seed=classes), options)
     assert {one.method for one in found.scores} == {*ALL} - {"late-fusion"}
     for score in found.scores:
@@ -105,8 +105,8 @@ def sets() -> dict[str, LabelledTable]:
 @pytest.mark.parametrize("name", ["digits", "wine", slow("40 classes")])
 def test_at_least_as_good_as_the_nearest_neighbour(name: str) -> None:
     table = dataclasses.replace(sets()[name], group=None)
-    options = dataclasses.replace(FAST, splits=16)
-    splits = draw("stratified", table, 16, 0)
+    options = dataclasses.replace(FAST, splits=8)
+    splits = draw("stratified", table, 8, 0)
     best = evaluate(table, options).best
     found, _ = difference(best.split_accuracy, one_nearest(table, splits), split_ratio(splits), 0.9)
     assert found.value >= -0.002
@@ -114,7 +114,7 @@ def test_at_least_as_good_as_the_nearest_neighbour(name: str) -> None:
 
 
 def test_late_fusion_knows_what_neither_modality_knows() -> None:
-    found = evaluate(two_modalities(each=24), dataclasses.replace(FAST, splits=16))
+    found = evaluate(two_modalities(each=24), dataclasses.replace(FAST, splits=8))
     touch, vision = (found.score(name, "pooled") for name in ("touch", "vision"))
     assert max(touch.accuracy.interval[1], vision.accuracy.interval[1]) < 0.72  # two classes of four each
     assert found.best.method == "late-fusion"
@@ -154,7 +154,7 @@ def test_where_a_modality_says_nothing_late_fusion_is_the_other_one() -> None:
             "vision": rng.normal(size=(64, 40)),
         },
     )
-    found = evaluate(blind, dataclasses.replace(FAST, splits=16))
+    found = evaluate(blind, dataclasses.replace(FAST, splits=8))
     touch = found.score("touch", "pooled")
     assert found.best.accuracy.value > touch.accuracy.value - 0.03
     assert found.score("touch+vision", "knn").accuracy.value < touch.accuracy.value - 0.1  # early fusion drags it down
@@ -202,7 +202,7 @@ def test_transfer_trains_on_one_kind_and_tests_on_the_other() -> None:
     side = np.where(kind == "carton", 1.0, -1.0) * np.where(table.target == 0, 1.0, -1.0)
     touch = np.random.default_rng(0).normal(size=(80, 2)) + 3.0 * np.stack([side, kind == "carton"], axis=1)
     table = dataclasses.replace(table, kind=kind, group=None, modalities={"touch": touch})
-    found = evaluate(table, FAST)
+    found = evaluate(table, dataclasses.replace(FAST, splits=12))
     transfers = {one.pair: one for one in found.scores if one.method == "knn" and one.protocol == "transfer"}
     assert set(transfers) == {("bottle", "carton"), ("carton", "bottle")}
     for one in transfers.values():
@@ -222,7 +222,7 @@ def test_the_learning_curve_rises_and_a_squeeze_is_known_better_with_time() -> N
     series = np.stack([share * touch + (1 - share) * rng.normal(size=touch.shape) for share in (0.0, 0.5, 1.0)], axis=1)
     series[::7, 2] = np.nan  # trials that ended early keep what they had
     found = evaluate(
-        dataclasses.replace(table, series={"touch": series}), dataclasses.replace(FAST, splits=6, curve_splits=6)
+        dataclasses.replace(table, series={"touch": series}), dataclasses.replace(FAST, splits=4, curve_splits=4)
     )
     curve = [one.accuracy.value for one in found.curve if one.method == "linear"]
     times = found.steps["touch"]
@@ -238,7 +238,7 @@ def test_modalities_are_fused_in_each_step_and_one_that_is_missing_there_leaves_
     table = two_modalities()
     over = {name: np.stack([0.3 * values, values], axis=1) for name, values in table.modalities.items()}
     over["vision"][:, 0] = np.nan
-    found = evaluate(dataclasses.replace(table, series=over), dataclasses.replace(FAST, splits=6, curve_splits=6))
+    found = evaluate(dataclasses.replace(table, series=over), dataclasses.replace(FAST, splits=4, curve_splits=4))
     assert [one.time_s for one in found.steps["vision"]] == pytest.approx([0.1])
     fused = found.steps["touch+vision"]
     assert [one.time_s for one in fused] == pytest.approx([0.1])
