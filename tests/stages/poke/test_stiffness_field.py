@@ -26,9 +26,9 @@ def grid(columns: int = 4, rows: int = 3) -> np.ndarray:
 
 @pytest.fixture(scope="module", autouse=True)
 def _fewer_maps() -> Iterator[None]:
-    """As many as most of these surfaces need: a fifth of the time."""
+    """As many as these surfaces need: a third of the time."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(stiffness_field, "PARTICLES", 200)
+        patch.setattr(stiffness_field, "PARTICLES", 300)
         yield
 
 
@@ -37,9 +37,7 @@ def halves() -> StiffnessField:
     """20 N/m left of 0.2 m, 80 N/m right of it; no poke is nearer to the border than 5 cm."""
     at = grid()
     scatter = np.exp(np.random.default_rng(1).normal(0.0, 0.03, len(at)))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(stiffness_field, "PARTICLES", 300)
-        return fit_field(at, np.where(at[:, 0] < 0.2, 20.0, 80.0) * scatter, TIP)
+    return fit_field(at, np.where(at[:, 0] < 0.2, 20.0, 80.0) * scatter, TIP)
 
 
 def test_one_poke_says_the_same_everywhere() -> None:
