@@ -46,6 +46,8 @@ INVERSE_PX = 1e-4
 EDGE_FINENESS = 4
 """Parts of a pixel along each axis, for computing the share of it that a thing covers."""
 GRAVITY = 9.80665
+RULER = (-0.0503, -0.019, 0.0503, -0.006)
+"""Corners of the ruler; its marks are a centimetre apart, the first at -5 cm [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +77,8 @@ class VideoCase:
     before it touches; rest, ramp: images before the tool moves, and while it does; fill: width of the block as a share
     of the image's; shake_px: rms shift of the camera, which also turns; tilt_deg: angle between the view and the
     block's normal; shadow: share of light that a moving soft shadow takes; flicker: share of light; noise: deviation of
-    a grey value; hand: whether one holds the tool; contrast: deviation of the foam's texture
+    a grey value; hand: whether one holds the tool; ruler: whether one of
+    10 cm lies below the block; contrast: deviation of the foam's texture
 
     What spoils a video: pan_px: shift of the camera from the first image to the last; zoom: growth of the picture;
     turn_deg: further tilt at the last image; blur_px: deviation of a blur; exposure: gain"""
@@ -105,6 +108,7 @@ class VideoCase:
     flicker: float = 0.01
     noise: float = 2.0
     hand: bool = True
+    ruler: bool = False
     pan_px: float = 0.0
     zoom: float = 0.0
     turn_deg: float = 0.0
@@ -368,6 +372,8 @@ class Scene:
             "tool": np.array([[70, 72, 78], [200, 60, 50], [225, 225, 220]])[rng.integers(3)],
             "hand": np.array([[196, 150, 125], [120, 82, 62]])[rng.integers(2)],
             "clamp": np.array([60, 62, 66]),
+            "ruler": np.array([235, 230, 205]),
+            "mark": np.array([30, 30, 30]),
         }
         low, high = case.tool_at_m - 0.5 * case.tool_m, case.tool_at_m + 0.5 * case.tool_m
         far = height + 2.0 * view[1]
@@ -400,6 +406,9 @@ class Scene:
             [at + 0.02 + (reach + 0.01) * np.cos(round_), grip + 0.05 + 0.05 * np.sin(round_) * (np.sin(round_) > 0)]
         )
         self.hand = [*fingers, palm] if case.hand else []
+        self.ruler = [_rectangle(*RULER)] if case.ruler else []
+        marks = np.linspace(RULER[0], RULER[2], 11)
+        self.marks = [_rectangle(x - 3e-4, RULER[3] - 0.005, x + 3e-4, RULER[3]) for x in marks] if case.ruler else []
         self.clamps = []
         if case.holding == "clamped":
             over = 0.15 * height
@@ -456,6 +465,10 @@ class Scene:
                 "clamp",
                 0.1,
             )
+        for things, colour in ((self.marks, "mark"), (self.ruler, "ruler")):
+            if things:
+                shown = self.covered([_through(camera, one) for one in things])
+                draw(shown, self.wall, world - self.middle, colour, 0.02)
         share = self.covered([_through(camera, self.border + motion.at(self.border)[0])])
         seen = np.flatnonzero(share.ravel() > 0.0)
         start = world if len(self.start) != len(world) else self.start
@@ -557,12 +570,16 @@ def write(video: RenderedVideo, folder: Path, *, mbit: float = 4.0, name: str = 
     It is H.264 where PyAV is installed (`pip install av`), else MPEG-4 Part 2 of OpenCV."""
     folder.mkdir(parents=True, exist_ok=True)
     coded = encode(video.frames, video.fps, folder / name, mbit)
-    column = "force [N]" if video.log.unit == "N" else "weight [g]"
-    digits = 4 if video.log.unit == "N" else 2
-    rows = [f"{t:.3f},{v:.{digits}f}" for t, v in zip(video.log.time_s, video.log.value, strict=True)]
-    (folder / "force.csv").write_text("\n".join([f"time [s],{column}", *rows, ""]), encoding="utf-8")
+    (folder / "force.csv").write_text(force_table(video.log), encoding="utf-8")
     (folder / "truth.json").write_text(json.dumps(truth(video), indent=1) + "\n", encoding="utf-8")
     return coded
+
+
+def force_table(log: ForceLog) -> str:
+    """A log as CSV, with units in its head."""
+    column, digits = ("force [N]", 4) if log.unit == "N" else ("weight [g]", 2)
+    rows = [f"{t:.3f},{v:.{digits}f}" for t, v in zip(log.time_s, log.value, strict=True)]
+    return "\n".join([f"time [s],{column}", *rows, ""])
 
 
 def truth(video: RenderedVideo) -> dict[str, Any]:

@@ -1,11 +1,13 @@
 """Makes the samples of the laboratory that ship (`sample:pair`, `sample:cube`, `sample:poke`, `sample:press`,
-`sample:video`, `sample:squeezes`, `sample:table`) anew.
+`sample:video`, `sample:sponge` with PyAV, `sample:squeezes`, `sample:table`) anew.
 
 python tools/samples.py [NAME...]
 """
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 import io
 import sys
 import tempfile
@@ -26,6 +28,7 @@ from deformscope.stages.msm.clusters import lattice as lattice_clusters
 from deformscope.stages.msm.materials import Plasticity
 from deformscope.stages.msm.plastic import PlasticMsm
 from deformscope.stages.msm.solver import Msm
+from studies.rendered_video import SCALE, RenderedVideo, VideoCase, encode, force_table, render
 from studies.reproduce.pressed_cubes import SIDE_M, thesis_cubes
 from studies.reproduce.speckle import View, film
 
@@ -39,6 +42,26 @@ SPACING_M = 0.02
 SQUEEZES = 100
 SMALL = ("tactile", "vision_small", "physical")
 """Of the modalities of a squeeze those of up to 121 numbers."""
+
+SPONGE = VideoCase(
+    3001,
+    modulus_pa=15e3,
+    poisson=0.05,
+    size_m=(0.12, 0.06, 0.04),
+    tool_at_m=0.008,
+    approach_m=0.003,
+    width_px=960,
+    height_px=540,
+    frames=45,
+    rest=8,
+    ramp=24,
+    fps=15.0,
+    fill=0.5,
+    tilt_deg=2.0,
+    ruler=True,
+    log=dataclasses.replace(SCALE, offset_s=2.4),
+)
+SPONGE_MBIT = 2.2
 
 
 def pushed() -> list[PressedBlock]:
@@ -116,6 +139,23 @@ def video() -> bytes:
         return path.read_bytes()
 
 
+@functools.cache
+def sponge_seen() -> RenderedVideo:
+    """A sponge on a kitchen scale, which a hand presses with a block: what a phone sees, and what the scale shows."""
+    return render(SPONGE)
+
+
+def sponge() -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "sponge.mp4"
+        encode(sponge_seen().frames, SPONGE.fps, path, SPONGE_MBIT)
+        return path.read_bytes()
+
+
+def sponge_force() -> bytes:
+    return force_table(sponge_seen().log).encode()
+
+
 def squeezes() -> bytes:
     """A table of simulated squeezes of boxes with five contents."""
     from deformscope.stages.squeeze.table import LabelledTable
@@ -169,19 +209,22 @@ MAKE: dict[str, tuple[str, Callable[[], bytes]]] = {
     "poke": (".npz", poke),
     "press": (".npz", press_and_release),
     "video": (".mp4", video),
+    "sponge": (".mp4", sponge),
     "squeezes": (".npz", squeezes),
     "table": (".csv", table),
 }
+BESIDE: dict[str, tuple[str, Callable[[], bytes]]] = {"sponge": ("force.csv", sponge_force)}
 
 
 def main() -> None:
     for name in sys.argv[1:] or MAKE:
         suffix, make = MAKE[name]
-        path = FOLDER / name / f"{name}{suffix}"
-        path.parent.mkdir(exist_ok=True)
-        with replacing(path) as file:
-            file.write(make())
-        print(f"{path}: {path.stat().st_size / 1e3:.0f} kB")
+        for file_name, content in ((f"{name}{suffix}", make), *([BESIDE[name]] if name in BESIDE else [])):
+            path = FOLDER / name / file_name
+            path.parent.mkdir(exist_ok=True)
+            with replacing(path) as file:
+                file.write(content())
+            print(f"{path}: {path.stat().st_size / 1e3:.0f} kB")
 
 
 if __name__ == "__main__":

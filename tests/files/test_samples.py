@@ -7,6 +7,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -33,10 +34,11 @@ def test_a_sample_is_small_and_says_what_it_is(name: str) -> None:
 
 
 def test_a_sample_is_its_file_or_the_folder_of_its_images() -> None:
-    assert sample_names() == ["cube", "pair", "poke", "press", "rig", "squeezes", "table", "tension", "video"]
+    assert sample_names() == ["cube", "pair", "poke", "press", "rig", "sponge", "squeezes", "table", "tension", "video"]
     assert (ending_of("sample:table"), ending_of("sample:rig")) == (".csv", ".toml")
     assert ending_of("sample:pair") == ending_of("sample:poke") == ending_of("sample:squeezes") == ".npz"
-    assert ending_of("sample:video") == ".mp4"
+    assert ending_of("sample:video") == ending_of("sample:sponge") == ".mp4"
+    assert resolve("sample:sponge/force.csv") == sample_path("sponge") / "force.csv"
     assert resolve("sample:tension").is_dir()
     assert resolve("sample:tension/frame_152.png") == sample_path("tension") / "frame_152.png"
     with pytest.raises(ds.InputError, match="cube, pair, poke"):
@@ -53,6 +55,25 @@ def test_a_sample_is_what_its_tool_makes(name: str) -> None:
                 np.testing.assert_allclose(ships[one], made[one], rtol=1e-6, atol=1e-9)
             else:
                 np.testing.assert_array_equal(ships[one], made[one])
+
+
+@pytest.mark.slow
+def test_the_sponge_is_the_finite_elements_of_its_truth() -> None:
+    """Force, stiffness and scale, and each image up to what the compression takes."""
+    tool: dict[str, Any] = runpy.run_path(str(ROOT / "tools" / "samples.py"))
+    made = tool["sponge_seen"]()
+    truth = tomllib.loads((sample_path("sponge") / "sample.toml").read_text(encoding="utf-8"))["truth"]
+    for name in ("modulus_pa", "poisson", "thickness_m", "px_per_cm"):
+        assert truth[name] == pytest.approx(getattr(made, name))
+    assert truth["contact_stiffness_n_per_mm"] == pytest.approx(made.stiffness_n_per_mm, rel=1e-3)
+    assert truth["force_offset_s"] == made.case.log.offset_s
+    assert resolve("sample:sponge/force.csv").read_bytes() == tool["sponge_force"]()
+    film = cv2.VideoCapture(str(resolve("sample:sponge")))
+    for image in made.frames:
+        read, shown = film.read()
+        assert read
+        assert np.abs(shown[..., ::-1].astype(float) - image).mean() < 5.0
+    assert not film.read()[0]
 
 
 def test_the_table_has_the_trials_of_the_squeezes() -> None:
