@@ -66,18 +66,57 @@ class SummaryOptions(Flags):
 
 
 @dataclass(frozen=True, slots=True)
+class PushFlags(Flags):
+    """The force on the contact of a video. With the picture's scale it gives the stiffness at the contact, with the
+    body's thickness Young's modulus and Poisson's ratio. Each uncertainty is a standard deviation, in all intervals."""
+
+    force: flags.PushForceFlag = None
+    """Force at the fitted frame with its unit (3N, or 300g on a kitchen scale), or a log of it: a table (CSV, Parquet),
+    a recording or a bag."""
+    force_frame: flags.SomeFlag = None
+    """Frame at which the force acted, counted from 0 after --stride; it is fitted, and later ones are not used.
+    Default: the last one."""
+    force_column: flags.CameraFlag = None
+    """Column of a log's table that has the force; default: the only one in newtons, grams-force or the like."""
+    force_unit: flags.CameraFlag = None
+    """Unit of that column (N, mN, gf, kgf, g, kg); default: the one in its name."""
+    force_sensor: flags.CameraFlag = None
+    """For a recording with several force sensors: the sensor on the tool."""
+    force_offset_s: Annotated[float | None, flags.one_word("NUMBER", flags.finite), flags.unset] = None
+    """Time of a log at the video's first frame [s]; default: found by the rise of the force against that of the
+    motion, and for a recording of ours the same clock."""
+    force_sd: flags.ForceSdFlag = None
+    """Uncertainty of the force, such as 2g or 0.05N. Default: 2 % of it and 1 g, as of a kitchen scale."""
+    scale_sd: Annotated[float, flags.SHARE] = 0.01
+    """Uncertainty of the picture's scale, as a share; 0.01 is 1 mm in 10 cm."""
+    thickness_m: flags.PositiveFlag = None
+    """Images with a force: thickness of the body along the camera's view [m]. Pokes of a surface (pair files): that of
+    the material below it, which rests on the ground; all pokes are then fitted together with layers of it."""
+    thickness_sd: Annotated[float, flags.SHARE] = 0.02
+    """Uncertainty of the thickness of images, as a share."""
+    plane_strain: bool = False
+    """The body cannot bulge along the camera's view, as between two panes; default: it is free to (plane stress)."""
+
+    def check(self) -> None:
+        named: dict[str, object] = {"--force-frame": self.force_frame, "--force-sd": self.force_sd}
+        named |= {"--plane-strain": self.plane_strain or None}
+        log: dict[str, object] = {"--force-column": self.force_column, "--force-unit": self.force_unit}
+        log |= {"--force-sensor": self.force_sensor, "--force-offset-s": self.force_offset_s}
+        for flag, value in (named | log).items():
+            if value is not None and self.force is None:
+                raise InputError(f"--force with {flag}", "no --force", "--force 3N")
+            if value is not None and flag in log and flags.force_n(self.force or "") is not None:
+                raise InputError(f"a log of the force with {flag}", f"--force {self.force}", f"leave out {flag}")
+        if self.plane_strain and self.thickness_m is None:
+            raise InputError("--thickness-m with --plane-strain", "none", "--thickness-m 0.05")
+
+
+@dataclass(frozen=True, slots=True)
 class LayersFlags(Flags):
     """Pokes of a surface: pair files of surface points, z up, whose held points were pressed down."""
 
-    thickness_m: flags.PositiveFlag = None
-    """Thickness of the material below the surface, which rests on the ground [m]. With this thickness, one lattice of
-    layers is fitted to all pokes together; without it, the points themselves are the particles."""
     spacing_m: flags.PositiveFlag = None
-    """Spacing of that lattice [m]; default: a quarter of the tip's width."""
-
-    def check(self) -> None:
-        if self.spacing_m is not None and self.thickness_m is None:
-            raise InputError("--thickness-m with --spacing-m", "none", "--thickness-m 0.05")
+    """Spacing of the layers' lattice [m]; default: a quarter of the tip's width."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,9 +134,11 @@ class MotionFlags(Flags):
             raise InputError("--whole-motion with --select", "no --whole-motion", "add --whole-motion")
 
 
-def check_arrays(sources: tuple[str, ...], images: ImageOptions, noise_px: float | None, called: str) -> None:
+def check_arrays(
+    sources: tuple[str, ...], images: ImageOptions, noise_px: float | None, called: str, push: PushFlags | None = None
+) -> None:
     """Raises InputError for .npz files among images, and for flags about images with .npz files. called: the source's
-    description in the message"""
+    description in the message; push: with the force on images"""
     files = [source for source in sources if ending_of(source) == ".npz"]
     if files and len(files) != len(sources):
         other = next(source for source in sources if source not in files)
@@ -105,6 +146,10 @@ def check_arrays(sources: tuple[str, ...], images: ImageOptions, noise_px: float
     if files and images != ImageOptions():
         came = "flags about images (--roi, --grid, --held...)"
         raise InputError(f"no flags about images with {called}", came, "leave them out")
+    if files and push is not None and push.force is not None:
+        raise InputError(
+            f"force_n in {called}", f"--force {push.force}", "force_n, contact and force_noise_n in the file"
+        )
     if files and noise_px is not None:
         raise InputError(f"--noise-m for {called}", "--noise-px", "give the noise in metres")
 
@@ -124,6 +169,7 @@ class CalibrateOptions(RecordedOptions):
     this flag."""
     search: OmitArgPrefixes[SearchOptions] = field(default_factory=SearchOptions, kw_only=True)
     images: OmitArgPrefixes[ImageOptions] = field(default_factory=ImageOptions, kw_only=True)
+    push: OmitArgPrefixes[PushFlags] = field(default_factory=PushFlags, kw_only=True)
     model: OmitArgPrefixes[ModelOptions] = field(default_factory=ModelOptions, kw_only=True)
     summary: OmitArgPrefixes[SummaryOptions] = field(default_factory=SummaryOptions, kw_only=True)
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions, kw_only=True)
@@ -156,12 +202,23 @@ class BetaConfig(CalibrateOptions):
 
     def check(self) -> None:
         CalibrateOptions.check(self)
-        if self.layers.thickness_m is not None and self.mode != "linear":
+        if self.layers.spacing_m is not None and self.push.thickness_m is None:
+            raise InputError("--thickness-m with --spacing-m", "none", "--thickness-m 0.05")
+        if self.has_layers and self.mode != "linear":
             raise InputError("--mode linear with --thickness-m", self.mode)
-        if self.at is not None and (self.layers.thickness_m is not None or self.motion.whole_motion):
+        if self.at is not None and (self.has_layers or self.motion.whole_motion):
             raise InputError("no --at with --thickness-m or --whole-motion", f"{self.at:g}", "leave out --at")
+        if self.push.force is not None and self.motion.whole_motion:
+            raise InputError(
+                "--force without --whole-motion", "both", "leave out --whole-motion: one frame has a force"
+            )
         if self.at is not None and self.at > flags.BETA_LIMIT:
             raise InputError(f"a --at of at most {flags.BETA_LIMIT:g}", f"{self.at:g}")
+
+    @property
+    def has_layers(self) -> bool:
+        """Whether the material below a surface is fitted: pokes in pair files, with its thickness."""
+        return self.push.thickness_m is not None and ending_of(self.sources[0]) == ".npz"
 
     @property
     def fitted_cluster_size(self) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -172,6 +173,49 @@ def positive(text: str) -> float:
     return value
 
 
+FORCE_UNITS = {"N": 1.0, "mN": 1e-3, "g": 9.80665e-3, "gf": 9.80665e-3, "kg": 9.80665, "kgf": 9.80665}
+"""Newtons of units of force; a gram is its weight."""
+
+
+def force_n(text: str) -> float | None:
+    """The force of `3N` or `300g` [N]; None for the name of a log. Raises ValueError for a number without a unit."""
+    found = re.fullmatch(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)\s*([a-zA-Zµ]*)\s*", text)
+    if found is None or found[2] not in {"", *FORCE_UNITS}:
+        return None
+    if not found[2]:
+        raise ValueError(f"expected a force with its unit, such as {found[1]}N or {found[1]}g; got {text!r}")
+    if not (value := float(found[1]) * FORCE_UNITS[found[2]]) > 0:
+        raise ValueError(f"expected a force above 0, its magnitude; got {text!r}")
+    return value
+
+
+def parse_push_force(text: str) -> str:
+    """A force with its unit, or the name of a log."""
+    force_n(text)
+    return text
+
+
+def parse_force_sd(text: str) -> str:
+    """A force with its unit."""
+    if force_n(text) is None:
+        raise ValueError(f"expected a force with its unit, such as 2g or 0.05N; got {text!r}")
+    return text
+
+
+def parse_scale(text: str) -> tuple[float, ...]:
+    """`X,Y,X,Y=10mm`: two places in the first image [px], and their distance; the last number is in metres."""
+    ends, _, length = text.partition("=")
+    found = re.fullmatch(r"\s*(.+?)\s*(mm|cm|m)\s*", length)
+    try:
+        places = numbers("x,y,x,y", "120,40,320,40")(ends)
+        metres = positive(found[1]) * {"mm": 1e-3, "cm": 1e-2, "m": 1.0}[found[2]] if found else 0.0
+    except ValueError:
+        places, metres = (), 0.0
+    if not metres or places[:2] == places[2:]:
+        raise ValueError(f"expected X,Y,X,Y=LENGTH of two places in pixels, such as 120,40,320,40=50mm; got {text!r}")
+    return (*places, metres)
+
+
 def one_word(metavar: str, parse: Callable[[str], T], show: Callable[[Any], str] = str) -> PrimitiveConstructorSpec[T]:
     """One word on the command line; None, which cannot be typed, is an omitted flag."""
     return PrimitiveConstructorSpec(
@@ -275,6 +319,13 @@ ManyFlag = Annotated[int, least(1)]
 LevelFlag = Annotated[float, Rule(lambda value: 0 < value < 1, "a {flag} between 0 and 1", "--level 0.9")]
 TimeoutFlag = Annotated[
     float, Rule(lambda value: 0.05 <= value <= 60.0, "a {flag} of 0.05 to 60 s", "--page-timeout 0.3")
+]
+PushForceFlag = Annotated[str | None, one_word("3N|300g|LOG", parse_push_force), unset, Reads()]
+ForceSdFlag = Annotated[str | None, one_word("FORCE", parse_force_sd), unset]
+ScaleFlag = Annotated[
+    tuple[float, ...] | None,
+    one_word("X,Y,X,Y=LENGTH", parse_scale, lambda one: f"{joined(',')(one[:4])}={one[4]}m"),
+    unset,
 ]
 SeedFlag = Annotated[int, least(0)]
 CameraFlag = Annotated[str | None, one_word("NAME", str), unset]

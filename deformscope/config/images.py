@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -55,12 +56,27 @@ class ImageOptions(ParticleFlags):
     """Corners of a polygon around the body in the first image [px]; particles are placed within it alone."""
     px_per_cm: flags.PositiveFlag = None
     """Scale of the image [px/cm]; with it lengths are also reported in metres."""
+    scale_from: flags.ScaleFlag = None
+    """The scale by a known length in the plane of the body: two places in the first image [px] and their distance, such
+    as 120,40,320,40=50mm of a ruler or a coin."""
     stride: flags.ManyFlag = 1
     """Take every n-th frame."""
     camera: flags.CameraFlag = None
     """For a recording or a rig with several cameras: the camera to use."""
     fps: flags.PositiveFlag = None
     """Frame rate [Hz]; default: the times in the source."""
+
+    def check(self) -> None:
+        ParticleFlags.check(self)
+        either("--px-per-cm", "--scale-from", self.px_per_cm, self.scale_from)
+
+    @property
+    def scale_px_per_cm(self) -> float | None:
+        """The scale that one of both flags gives [px/cm]."""
+        if self.scale_from is None:
+            return self.px_per_cm
+        x, y, to_x, to_y, metres = self.scale_from
+        return math.hypot(to_x - x, to_y - y) / (100.0 * metres)
 
 
 # deformscope flow ----------------------------------------------------------------------------------------------------

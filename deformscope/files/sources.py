@@ -99,6 +99,16 @@ class Source:
         self._ahead = [next(self._frames)]
         return there
 
+    def end_at(self, frame: int) -> None:
+        """Give the frames up to this one alone, counted from 0. Once it was entered; before `thin`. Raises InputError
+        where there are not so many, as far as that is known."""
+        self.count = self._counted() if self._counted is not None else self.count
+        if frame < 1 or (self.count is not None and frame >= self.count):
+            last = "the last one" if self.count is None else f"{self.count - 1}"
+            raise InputError(f"--force-frame from 1 to {last}", str(frame), where=self.name)
+        self._frames = itertools.islice(self._frames or (), frame - 1)
+        self.count, self._counted = frame + 1, None
+
     @property
     def size(self) -> tuple[int, int]:
         """Height and width of its images [px], until the first was taken."""

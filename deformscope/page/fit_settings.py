@@ -26,7 +26,7 @@ def not_on_a_page(config: BetaConfig | ThetaConfig) -> str | None:
     pairs = [source for source in config.sources if ending_of(source) == ".npz"]
     if pairs and len(config.sources) > 1:
         return f"{len(config.sources)} files"
-    if isinstance(config, BetaConfig) and (config.layers.thickness_m is not None or config.motion.whole_motion):
+    if isinstance(config, BetaConfig) and (config.has_layers or config.motion.whole_motion):
         return "--thickness-m or --whole-motion"
     return None
 

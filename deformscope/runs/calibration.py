@@ -40,7 +40,9 @@ def calibrate(
     several pairs."""
     quiet_warp()
     sources, search, output = config.sources, config.search, config.output
-    check_arrays(sources, config.images, search.noise_px, "pair files")  # a page sets both until its fit is made
+    check_arrays(
+        sources, config.images, search.noise_px, "pair files", config.push
+    )  # a page sets both until its fit is made
     fit = fit_options(config)
     layers = _layers(config)
     select: tuple[Selectable, ...] | None = None
@@ -64,13 +66,11 @@ def calibrate(
         return calibrate_pair_bytes(
             raws, fit, output, noise_m=search.noise_m, joint=search.joint, layers=layers, note=note, progress=progress
         )
-    for flag, used in (
-        ("--thickness-m", layers is not None),
-        ("--save", config.model.save is not None),
-        ("--joint", search.joint),
-    ):
+    for flag, used in (("--joint", search.joint),):
         if used:
             raise InputError(f"pair files with {flag}", "images", f"leave out {flag}")
+    if config.push.thickness_m is not None and config.push.force is None:
+        raise InputError("--force with the --thickness-m of images", "no --force", "--force 3N")
     if search.noise_m is not None:
         raise InputError("--noise-px for images", "--noise-m", "give the noise in pixels")
     images = images_of(config)
@@ -78,8 +78,13 @@ def calibrate(
 
 
 def _layers(config: BetaConfig | ThetaConfig) -> LayersOptions | None:
-    if not isinstance(config, BetaConfig) or config.layers.thickness_m is None:
+    if not isinstance(config, BetaConfig) or not config.has_layers:
         return None
     most = None if config.search.fine else MOST_PARTICLES
-    own = {"cluster_size": config.cluster_size, "theta": config.theta, "most_particles": most}
+    own = {
+        "thickness_m": config.push.thickness_m,
+        "cluster_size": config.cluster_size,
+        "theta": config.theta,
+        "most_particles": most,
+    }
     return LayersOptions(**config.layers.shared(LayersOptions) | own)

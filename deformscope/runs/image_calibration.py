@@ -11,10 +11,12 @@ import numpy as np
 
 from deformscope.arrays import ImageArray
 from deformscope.config import BetaConfig, ImageOptions, OutputOptions, ThetaConfig
-from deformscope.config.flags import Selectable
+from deformscope.config.calibrate import PushFlags
+from deformscope.config.flags import Selectable, force_n
 from deformscope.errors import InputError
 from deformscope.experiments.fit.calibration_inputs import mask_of, opened_images, particle_options
 from deformscope.experiments.fit.foam_video import ParticleOptions, foam_video
+from deformscope.experiments.fit.push_force import PushOptions
 from deformscope.experiments.fit.whole_motion import whole_motion
 from deformscope.files.sources import DEFAULT_FPS, Source, alike
 from deformscope.frames import ColorFrame, InputFile
@@ -23,10 +25,12 @@ from deformscope.log.layout import IMAGES
 from deformscope.pictures.evidence import Result
 from deformscope.recording.recorder import Recorder
 from deformscope.runs.calibration_result import CalibrationResult
+from deformscope.runs.force_log import force_file, read_force
 from deformscope.runs.result import Note, open_recorder
 from deformscope.session import run
 from deformscope.stages.fit.calibrate import FitOptions
 from deformscope.stages.fit.search import Progress
+from deformscope.stages.materials.press_cycle import PressForce
 from deformscope.stages.see.particles import clean_mask
 from deformscope_drivers.clock import Stamp
 
@@ -61,21 +65,36 @@ def calibrate_images(
 ) -> CalibrationResult:
     """Fit a sequence of files, or of the given images (H, W[, 3]), and record it on request. images: how they become
     particles; select: as in `run_images`"""
+    push, log = _push_of(config.push)
     sources, particles = config.sources, particle_options(images, config.search.noise_px)
     masked = images.mask is not None or images.outline is not None
     settings = {"sources": list(sources), "stride": images.stride, "fps": images.fps, "mask": masked}
     settings |= {"camera": images.camera} if images.camera is not None else {}
     settings |= {"outline": list(images.outline)} if images.outline is not None else {}
-    timed = select is not None and not {"alpha", "dt"}.isdisjoint(select)
+    timed = log is not None or (select is not None and not {"alpha", "dt"}.isdisjoint(select))
     if given and timed and images.fps is None:
-        raise InputError("--fps with --select alpha or dt", "images without a frame rate", "--fps 30")
+        expected = "--fps with --select alpha or dt, or with a log of the force"
+        raise InputError(expected, "images without a frame rate", "--fps 30")
     opened = _given_images(given, images) if given else opened_images(sources, images, timed=timed)
     with opened as source:
         settings["timed"] = source.timed
+        if config.push.force_frame is not None:
+            source.end_at(config.push.force_frame)
+        if log is not None and config.push.force_sensor is not None and str(sources[0]) == config.push.force:
+            log = dataclasses.replace(log, time_s=log.time_s - 1e-9 * source.began_ns)
         mask = mask_of(sources, images, source.size)
         every = config.search.fine or select is not None or images.stride != 1
         particles = _thinned(source, particles, every, note)
-        return run_images(source, mask, fit, particles, settings, config.output, select, progress)
+        return run_images(source, mask, fit, particles, settings, config.output, select, progress, push, log)
+
+
+def _push_of(flags: PushFlags) -> tuple[PushOptions | None, PressForce | None]:
+    """The force of the options, and its log."""
+    if flags.force is None:
+        return None, None
+    known = {one: force_n(text) for one, text in (("force_n", flags.force), ("force_sd_n", flags.force_sd)) if text}
+    push = PushOptions(**flags.shared(PushOptions) | known)
+    return push, read_force(flags) if push.force_n is None else None
 
 
 def _given_images(given: Sequence[ImageArray], images: ImageOptions) -> Source:
@@ -98,25 +117,33 @@ def run_images(
     output: OutputOptions,
     select: tuple[Selectable, ...] | None = None,
     progress: Progress | None = None,
+    push: PushOptions | None = None,
+    log: PressForce | None = None,
 ) -> CalibrationResult:
     """One sequence through the loop: the same for files, samples and recordings. mask: (H, W) [px], 0 = not the body
-    select: the option that is chosen by held-out error, with all frames fitted; None = the last frame is fitted"""
+    select: the option that is chosen by held-out error, with all frames fitted; None = the last frame is fitted
+    push, log: see `foam_video`"""
     used = settings | {"particles": dataclasses.asdict(particles), "fit": dataclasses.asdict(fit)}
     if select is not None:
         used["motion"] = {"select": select}
+    if push is not None:
+        used["push"] = dataclasses.asdict(push)
     region = None if mask is None else clean_mask(mask)
     experiment = (
-        foam_video(particles, fit, region, progress)
+        foam_video(particles, fit, region, progress, push, log)
         if select is None
         else whole_motion(particles, fit, select, region, progress)
     )
     last: list[ImageArray] = []
     with images_recorder(source, mask, used, output) as recorder:
+        if log is not None:
+            recorder.write(force_file(log))
         found = run(frames_of(source, progress, last), experiment, recorder)
     shown = Result(found.estimate, found.comparisons[-1:], ("",), last[0])
     recording, problems = recorder.summary(), tuple(source.problems())
+    pair = found.seen[-1], found.model
     return CalibrationResult(
-        found.estimate, shown, recording=recording, problems=problems, settings=used, seed=output.seed
+        found.estimate, shown, pair=pair, recording=recording, problems=problems, settings=used, seed=output.seed
     )
 
 

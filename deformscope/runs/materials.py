@@ -4,7 +4,6 @@ for its replay."""
 from __future__ import annotations
 
 import dataclasses
-import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,16 +23,15 @@ from deformscope.file_io import ending_of, read_file
 from deformscope.files.motions import parse_motion
 from deformscope.files.pairs import parse_pair
 from deformscope.files.sources import Source
-from deformscope.frames import InputFile, WrenchFrame
 from deformscope.pictures.report import Figure, Findings, ReportVerdict, Section, Table, html_report
 from deformscope.plain import Json
-from deformscope.recording.item_rows import read_rows
 from deformscope.recording.items import read_found
 from deformscope.recording.reader import Replay
 from deformscope.runs.calibration_report import provenance_sections, settings_section
+from deformscope.runs.force_log import force_file, kept_force, recorded_force
 from deformscope.runs.image_calibration import frames_of, images_recorder
 from deformscope.runs.material_report import material_bodies, material_figure, material_table
-from deformscope.runs.pair_calibration import arrays_bytes, pair_recorder, parse_files, recorded_pairs
+from deformscope.runs.pair_calibration import pair_recorder, parse_files, recorded_pairs
 from deformscope.runs.result import Note, SourceResult, log_note
 from deformscope.session import Step, run
 from deformscope.stages.fit.model import Model, Observation
@@ -48,10 +46,6 @@ from deformscope.stages.msm.quiet import quiet_warp
 from deformscope.stages.msm.solver import pick_device
 from deformscope.stages.see.particles import clean_mask
 
-FORCE_FILE = "force"
-"""Part of another recording's force sensor that a run uses, and its recording stores."""
-FREE_SHARE = 0.05
-"""Number of a force sensor's first readings that give its zero."""
 RAW_FILES = {"axes": ("pair", "a pair file (.npz)"), "yield": ("motion", "a motion file (.npz)")}
 RAW_FILES["viscous"] = RAW_FILES["yield"]
 RAW_FILES["field"] = RAW_FILES["axes"]
@@ -168,7 +162,7 @@ def calibrate_material(
         force = None
         if job.find not in ("axes", "field") and job.at is None and Path(sources[0]).suffix.lower() == ".rrd":
             sensor = config.unloading.force if isinstance(config, YieldConfig | ViscousConfig) else None
-            force = recorded_force(Path(sources[0]), sensor, source.began_ns)
+            force = recorded_force(Path(sources[0]), sensor, source.began_ns, "--force")
         return run_material_images(source, mask, force, job, settings, config.output, progress=progress)
 
 
@@ -197,8 +191,7 @@ def run_material_images(
     unloading = material_motion.UnloadingOptions(job.released, job.at, force)
     with images_recorder(source, mask, used, output) as recorder:
         if force is not None:
-            arrays = arrays_bytes(time_s=force.time_s, force_n=force.force_n, zero_sd_n=force.zero_sd_n)
-            recorder.write(InputFile(FORCE_FILE, arrays))
+            recorder.write(force_file(force))
         find = _finder(job, job.particles, unloading, progress)
         experiment = material_motion.material_video(job.particles, find, None if mask is None else clean_mask(mask))
         found = run(frames_of(source, progress), experiment, recorder)
@@ -290,45 +283,6 @@ def recorded_files(recording: Replay, name: str) -> list[tuple[str, bytes]]:
         return recorded_pairs(recording)
     found = recording.read_inputs()
     return [(str(recording.path), found[name])] if name in found else []
-
-
-# Forces of a recording -----------------------------------------------------------------------------------------------
-
-
-def recorded_force(path: Path, sensor: str | None, began_ns: int) -> PressForce | None:
-    """The force in a recording of images, None without one.
-
-    sensor: name of the sensor, needed if several were recorded; began_ns: time of the first frame. The first readings
-    give the sensor's zero, as nothing touches it at the start."""
-    found: dict[str, list[WrenchFrame]] = {}
-    for row in read_rows(Replay(path, trust=True), (WrenchFrame,)):
-        if row.item.usable and np.isfinite(row.item.force_n).all():
-            found.setdefault(row.item.device, []).append(row.item)
-    if sensor is not None and sensor not in found:
-        came = ", ".join(found) or "a recording without forces"
-        raise InputError(f"a force sensor {sensor!r} in the recording", came, where=path)
-    if not found:
-        return None
-    if sensor is None and len(found) > 1:
-        raise InputError("one force sensor", ", ".join(found), f"--force {next(iter(found))}", path)
-    frames = found[sensor or next(iter(found))]
-    time_s = np.array([1e-9 * (one.stamp.host_ns - began_ns) for one in frames])
-    read = np.stack([one.force_n for one in frames])  # (n, channels, 3)
-    rising = np.append(True, np.diff(time_s) > 0.0)
-    time_s, read = time_s[rising], read[rising]
-    free = max(5, round(FREE_SHARE * len(read)))
-    zeroed = read - np.median(read[:free], axis=0)
-    force_n = np.linalg.norm(zeroed, axis=2).sum(axis=1)
-    return PressForce(time_s, force_n, float(np.std(force_n[:free])))
-
-
-def kept_force(recording: Replay) -> PressForce | None:
-    """The force from which a recorded run was computed."""
-    raw = recording.read_inputs().get(FORCE_FILE)
-    if raw is None:
-        return None
-    with np.load(io.BytesIO(raw), allow_pickle=False) as found:
-        return PressForce(found["time_s"], found["force_n"], float(found["zero_sd_n"]))
 
 
 # Replay --------------------------------------------------------------------------------------------------------------

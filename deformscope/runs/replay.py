@@ -93,7 +93,9 @@ def _fits(recording: Replay, config: ReplayConfig, progress: Progress | None) ->
 
     from deformscope.experiments.fit.foam_video import ParticleOptions
     from deformscope.experiments.fit.poke_files import LayersOptions
+    from deformscope.experiments.fit.push_force import PushOptions
     from deformscope.experiments.fit.whole_motion import Selectable
+    from deformscope.runs.force_log import kept_force
     from deformscope.runs.image_calibration import run_images
     from deformscope.runs.pair_calibration import calibrate_pair_bytes
     from deformscope.stages.fit.calibrate import FitOptions
@@ -105,6 +107,8 @@ def _fits(recording: Replay, config: ReplayConfig, progress: Progress | None) ->
         particles = msgspec.convert(settings.pop("particles", {}), ParticleOptions)
         motion = settings.pop("motion", None)
         select = None if motion is None else msgspec.convert(motion["select"], tuple[Selectable, ...])
+        push = settings.pop("push", None)
+        push = None if push is None else msgspec.convert(push, PushOptions)
     except (KeyError, msgspec.ValidationError) as error:
         raise InputError(
             "a recording of a calibration, with its inputs",
@@ -117,9 +121,8 @@ def _fits(recording: Replay, config: ReplayConfig, progress: Progress | None) ->
     recorded = read_estimates(recording)
     if not (pairs := recording.read_pair_bytes()):
         with _frames(recording, config) as source:
-            return recorded, [
-                run_images(source, recording.mask, fit, particles, settings, config.output, select, progress)
-            ]
+            given = source, recording.mask, fit, particles, settings, config.output, select, progress
+            return recorded, [run_images(*given, push, kept_force(recording))]
     names = list(settings.get("sources", [])) or [f"pair {index}" for index in range(len(pairs))]
     return recorded, calibrate_pair_bytes(
         list(zip(names, pairs, strict=True)),

@@ -58,12 +58,14 @@ def for_sample(name: str, asked: ImageOptions) -> ImageOptions:
     if any(value is not None for value in particles):
         return dataclasses.replace(asked, fps=asked.fps or known.fps)
     fps = asked.fps or known.fps
-    return dataclasses.replace(known, fps=fps, stride=asked.stride, px_per_cm=asked.px_per_cm)
+    scale: dict[str, Any] = {"px_per_cm": asked.px_per_cm, "scale_from": asked.scale_from}
+    return dataclasses.replace(known, fps=fps, stride=asked.stride, **scale)
 
 
 def particle_options(images: ParticleFlags, noise_px: float | None = None) -> ParticleOptions:
     """The options for the stages."""
-    own = {"held": images.held_parts(), "noise_px": noise_px}
+    own: dict[str, Any] = {"held": images.held_parts(), "noise_px": noise_px}
+    own |= {"px_per_cm": images.scale_px_per_cm} if isinstance(images, ImageOptions) else {}
     return ParticleOptions(**images.shared(ParticleOptions) | own)
 
 

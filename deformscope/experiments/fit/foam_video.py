@@ -15,9 +15,11 @@ from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.config.flags import HeldPart
 from deformscope.config.images import ParticleFlags
 from deformscope.errors import InputError
+from deformscope.experiments.fit.push_force import Pushed, PushOptions, found_by_force, with_force
 from deformscope.session import Experiment, Step, measuring
 from deformscope.stages.fit.calibrate import Calibration, FitOptions, Model, Observation, Progress, calibrate
 from deformscope.stages.fit.estimate import Comparison
+from deformscope.stages.materials.press_cycle import PressForce
 from deformscope.stages.see.flow import FlowStep, flow_onward
 from deformscope.stages.see.particles import ParticleGrid, Rect, Tracked, advance, seed_grid, select_held, start
 
@@ -47,16 +49,29 @@ class ParticleOptions(ParticleFlags):
 
 
 def foam_video(
-    particles: ParticleOptions, fit: FitOptions, mask: BoolArray | None = None, progress: Progress | None = None
+    particles: ParticleOptions,
+    fit: FitOptions,
+    mask: BoolArray | None = None,
+    progress: Progress | None = None,
+    push: PushOptions | None = None,
+    log: PressForce | None = None,
 ) -> Experiment[Calibration]:
     """Follow particles through the frames, then fit the last pose and simulate every frame. mask: (H, W) True where the
-    thing is in the first frame"""
-    grid, history = yield from track(particles, mask)
+    thing is in the first frame; push: force on the contact, if known; log: force over time, where `push` has none"""
+    times: list[float] = []
+    grid, history = yield from track(particles, mask, times)
     if len(history) < 2:
         raise InputError("at least two frames", "one", "a longer sequence, or a smaller --stride")
     seen, used = last_pose(grid, history, particles)
     with measuring("estimate"):
+        pushed: Pushed | None = None
+        if push is not None:
+            parts = particles.held, particles.contact_rect
+            pushed = with_force(seen, grid, history, times, *parts, push, log, fit.level)
+            seen = pushed.seen
         found = calibrate([seen], fit, settings=used, progress=progress)
+        if push is not None and pushed is not None:
+            found = dataclasses.replace(found, estimate=found_by_force(found.estimate, pushed, push, fit.seed))
     for index, comparison in enumerate(follow(seen, history, fit.model, found)):
         yield Step((comparison,), frame=index)
     yield Step((found.estimate,))

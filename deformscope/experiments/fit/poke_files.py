@@ -4,7 +4,7 @@ body of layers below it that can be poked elsewhere."""
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -26,7 +26,7 @@ class LayersOptions(LayersFlags):
     most_particles: most particles of the lattice; its default spacing is coarser where it would have more; None = any
     number"""
 
-    thickness_m: float
+    thickness_m: float = field(kw_only=True)
     cluster_size: int | None = None
     theta: float | None = None
     most_particles: int | None = None

@@ -21,6 +21,7 @@ from deformscope.session import Experiment, Step, measuring
 from deformscope.stages.fit.calibrate import Calibration, FitOptions, Model, Observation, Progress, calibrate
 from deformscope.stages.fit.dynamics import MovingSearch, Pace
 from deformscope.stages.fit.estimate import Choice, Comparison
+from deformscope.stages.fit.force import FLOW_WINDOW_PX
 from deformscope.stages.fit.held_out import TOLD_LEAST, HeldOut, blocks_of, difference, hold_out, separates
 from deformscope.stages.fit.search import Search
 from deformscope.stages.msm.clusters import held_mask, spacing
@@ -43,9 +44,6 @@ FRAMES_TO_SELECT = 12
 PARTICLES_IN_ALL = 150_000
 """Largest number of particles of all frames that are fitted at once (some 1 GB); of longer sequences evenly spread
 frames are fitted."""
-
-FLOW_WINDOW_PX = 60.0
-"""Distance over which neighbouring flows share their errors: shorter motion waves are flattened (`stages.flow`)."""
 
 JUDGES_LEAST = 8
 """Least number of particles that are free in every way of fitting: with fewer, ways are not compared."""

@@ -51,12 +51,15 @@ TURNED = 5
 class Calibration:
     """An estimate, the simulation of every observation at the estimate, and the evidence for it.
 
-    left_out: particles of each observation that do not count as measurements"""
+    left_out: particles of each observation that do not count as measurements; seen: what was fitted, as given, with
+    `model`"""
 
     estimate: Estimate
     comparisons: tuple[Comparison, ...]
     inferred: Inferred
     left_out: tuple[LeftOut, ...]
+    seen: tuple[Observation, ...]
+    model: Model
 
 
 def calibrate(
@@ -141,7 +144,7 @@ def calibrate(
         curve=Curve(drawn, fit.error()[fit.rows_of(drawn)]),
         settings={**used, **(settings or {})},
     )
-    return Calibration(estimate, comparisons, inferred, left_out)
+    return Calibration(estimate, comparisons, inferred, left_out, tuple(stated), model)
 
 
 def _put_held_right(fit: Search, options: FitOptions) -> tuple[Search, tuple[IntArray, ...], list[Doubt]]:

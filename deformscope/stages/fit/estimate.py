@@ -15,6 +15,10 @@ from deformscope.results.render import ReportedResult, lengths, to_json
 Parameter = Literal["beta", "theta"]
 Verdict = Literal["identified", "weak", "at-bound", "unidentified"]
 LengthUnit = Literal["m", "px"]
+Plane = Literal["stress", "strain"]
+"""What happens along a camera's view: no stress, so that the body bulges freely, or no strain."""
+WithInterval = tuple[float, tuple[float, float]]
+"""A value and its interval."""
 NoiseSource = Literal["given", "flow", "residuals"]
 """Source of the noise of positions: a person or a file, the optical flow, or only a fit's residuals."""
 
@@ -78,6 +82,14 @@ class Curve:
 
     parameter: FloatArray
     aee: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class ForceCurve:
+    """Force over the depth of a push, at the frames of its loading. depth_m, force_n: (n,) [m], [N]"""
+
+    depth_m: FloatArray
+    force_n: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,7 +185,7 @@ class Choice:
         return to_json(self) | errors | {parameter: self.value}
 
 
-def _with_interval(one: tuple[float, tuple[float, float]]) -> dict[str, object]:
+def _with_interval(one: WithInterval) -> dict[str, object]:
     return {"value": one[0], "interval": one[1]}
 
 
@@ -187,6 +199,9 @@ class Estimate(ReportedResult):
     stiffness: the energy's stiffness k and its interval over `interval` [N/m], if a force was given
     contact_stiffness: force over the displacement of the contact, and its interval [N/mm], if both are known
     metres_per_unit: the scale of the lengths; None for pixels of unknown size
+    force: force on the contact of images [N]; modulus: Young's modulus by it [Pa]; poisson: Poisson's ratio, each with
+    its interval; plane: what the modulus assumes; modulus_verdict: verdict on it; force_curve: force over depth, and
+    force_offset: time of the log at the first frame [s], where a log of the force was given
     posterior, identifiability: evidence of the interval and the verdict
     reasons: reasons to doubt the parameter, first those that lower its verdict
     selection: choices of model that were tried, if a selection was requested; selection_text: remarks on the selection
@@ -237,6 +252,15 @@ class Estimate(ReportedResult):
             value, (low, high) = self.stiffness
             found = f"{self.stiffness_verdict}: {value:.4g} N/m ({low:.4g} to {high:.4g})"
             texts.append(f"the model's constant k is {found}")
+        if self.modulus is not None and self.poisson is not None:
+            value, low, high = (1e-3 * one for one in (self.modulus[0], *self.modulus[1]))
+            ratio = "Poisson's ratio {:.2f} ({:.2f} to {:.2f})".format(self.poisson[0], *self.poisson[1])
+            found = f"{value:.3g} kPa ({low:.3g} to {high:.3g}) in plane {self.plane}, {ratio}"
+            texts.append(f"the modulus is {self.modulus_verdict}: {found}")
+        if self.force is not None and self.metres_per_unit is None:
+            texts.append(f"{self.force[0]:.3g} N, but no scale: give --px-per-cm or --scale-from")
+        elif self.force is not None and self.modulus is None:
+            texts.append("for the modulus give --thickness-m")
         return "; ".join(texts) or "position alone does not identify stiffness here: give a force"
 
     aee: float
@@ -303,6 +327,20 @@ class Estimate(ReportedResult):
     )
     contact_stiffness: tuple[float, tuple[float, float]] | None = field(
         default=None, metadata=reported(key="contact_stiffness_n_per_mm", optional=True, json=_with_interval)
+    )
+
+    force: WithInterval | None = field(
+        default=None, metadata=reported(key="force_n", optional=True, json=_with_interval)
+    )
+    modulus: WithInterval | None = field(
+        default=None, metadata=reported(key="modulus_pa", optional=True, json=_with_interval)
+    )
+    poisson: WithInterval | None = field(default=None, metadata=reported(optional=True, json=_with_interval))
+    plane: Plane | None = field(default=None, metadata=reported(optional=True))
+    modulus_verdict: Verdict | None = field(default=None, metadata=reported(optional=True))
+    force_curve: ForceCurve | None = field(default=None, metadata=reported(optional=True))
+    force_offset: WithInterval | None = field(
+        default=None, metadata=reported(key="force_offset_s", optional=True, json=_with_interval)
     )
 
     @property

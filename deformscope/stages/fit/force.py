@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtri
 
-from deformscope.arrays import FloatArray
+from deformscope.arrays import FloatArray, IntArray
 from deformscope.stages.fit.estimate import Posterior
 from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.fit.residuals import Explanation
@@ -16,6 +16,12 @@ from deformscope.stages.msm.solver import Msm
 
 FORCE_SHARE = 0.05
 """Standard deviation of a force without stated noise, as a share of the force."""
+
+ONWARD_SHARE = 0.25
+"""Standard deviation of a motion that is continued to a body's face, as a share of the difference."""
+
+FLOW_WINDOW_PX = 60.0
+"""Distance over which neighbouring flows share their errors: shorter motion waves are flattened (`stages.flow`)."""
 
 CERTAIN = 1e-6
 """Least relative deviation of a stiffness: the resolution of the arithmetic."""
@@ -31,17 +37,106 @@ class Stiffness:
 
 def contact_stiffness(seen: Sequence[Observation], level: float) -> tuple[float, tuple[float, float]] | None:
     """Secant stiffness at the contact [N/mm], of all observations with a force; None without one. It is the force over
-    the mean displacement of the contact's particles, with the noise of both."""
+    the displacement of the contact, with the noise of both."""
     rows = []
     for s in seen:
-        if s.force_n is None or s.metres_per_unit is None or not len(s.touched):
+        if s.force_n is None or s.metres_per_unit is None or (push := pushed_along(s)) is None:
             continue
-        moved = float(np.linalg.norm((s.deformed - s.rest)[s.touched].mean(axis=0))) * s.metres_per_unit
-        noise = 0.0 if s.noise is None else float(np.sqrt(np.mean(s.noise[s.touched] ** 2) / len(s.touched)))
+        _, moved, noise = push
         force_sd = FORCE_SHARE * s.force_n if s.force_noise_n is None else s.force_noise_n
-        rows.append((s.force_n, moved, force_sd, noise * s.metres_per_unit))
+        noise = np.hypot(noise, s.scale_sd * moved)
+        rows.append((s.force_n, moved * s.metres_per_unit, force_sd, noise * s.metres_per_unit))
     applied, moved_m, applied_sd, moved_sd = np.array(rows, dtype=np.float64).reshape(-1, 4).T
     return secant(applied, moved_m, applied_sd, moved_sd, level)
+
+
+def pushed_along(seen: Observation) -> tuple[FloatArray, float, float] | None:
+    """Direction (d,) of the contact's motion, its length and the standard deviation of that [unit]; None without a
+    contact that moved.
+
+    In images, whose particles lie in the middle of their cells, it is the motion of the contact's outer face relative
+    to that of the still held parts' outer faces: a camera that moves moves both. Motions are continued by half a
+    spacing along the motion's slope at the face."""
+    part = seen.touched
+    if not len(part):
+        return None
+    move = seen.deformed - seen.rest
+    still = np.setdiff1d(seen.held, part)
+    is_seen = seen.unit == "px" and seen.shape is not None
+    relative = move[part].mean(axis=0) - (move[still].mean(axis=0) if is_seen and len(still) else 0.0)
+    length = float(np.linalg.norm(relative))
+    if length <= 0.0:
+        return None
+    toward = relative / length
+    noise = _mean_noise(seen, part)
+    if not is_seen:
+        return toward, length, noise
+    (at, at_sd), (ground, ground_sd) = _faces(seen, toward)
+    noise = float(np.sqrt(noise**2 + (_mean_noise(seen, still) if len(still) else 0.0) ** 2 + at_sd**2 + ground_sd**2))
+    return toward, at - ground, noise
+
+
+def depth_along(seen: Observation, toward: FloatArray) -> float:
+    """The contact's depth of `pushed_along` along a direction (2,) [unit]."""
+    (at, _), (ground, _) = _faces(seen, toward)
+    return at - ground
+
+
+def _faces(seen: Observation, toward: FloatArray) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Displacements of the faces of the contact and of the still parts, with their standard deviations [unit]."""
+    still, step, axis = np.setdiff1d(seen.held, seen.touched), lattice_step(seen), int(np.abs(toward).argmax())
+    sign = float(np.sign(toward[axis]))
+    contact = _face(seen, _outermost(seen, seen.touched, axis, -sign), toward, axis, -sign)
+    if not len(still):
+        return contact, (0.0, 0.0)
+    if np.ptp(seen.rest[still, axis]) < 0.5 * step[axis]:
+        return contact, _face(seen, still, toward, axis, sign)
+    sides = [(one, side) for side in (-1.0, 1.0) if len(one := _outermost(seen, still, 1 - axis, side)) > 1]
+    middle = float(np.median(seen.rest[:, 1 - axis]))
+    sides = [(one, side) for one, side in sides if side * (seen.rest[one[0], 1 - axis] - middle) > 0.0]
+    if not sides:
+        return contact, (float(((seen.deformed - seen.rest) @ toward)[still].mean()), 0.0)
+    found = np.array([_face(seen, one, toward, 1 - axis, side) for one, side in sides])
+    return contact, (float(found[:, 0].mean()), float(found[:, 1].max()))
+
+
+def _outermost(seen: Observation, part: IntArray, axis: int, side: float) -> IntArray:
+    """Those of a part (n,) that lie farthest along an axis, within half a spacing. side: -1, 1"""
+    height = side * seen.rest[part, axis]
+    return np.asarray(part[height > height.max() - 0.5 * lattice_step(seen)[axis]])
+
+
+def _face(seen: Observation, row: IntArray, toward: FloatArray, axis: int, side: float) -> tuple[float, float]:
+    """Displacement along a direction (2,) of the face beyond a line of held particles (n,), and the standard deviation
+    of its continuation to there [unit]. axis, side: where the face is, as of `_outermost`"""
+    move, step = (seen.deformed - seen.rest) @ toward, lattice_step(seen)
+    near = np.abs((seen.rest[:, None] - seen.rest[row]) / step).max(axis=2).min(axis=1) < 1.5
+    near &= seen.observed
+    near[row] = True
+    place = (seen.rest - seen.rest[row].mean(axis=0)) / step
+    columns = np.column_stack([np.ones(len(place)), place])[near]
+    found = np.linalg.lstsq(columns, move[near], rcond=None)[0]
+    onward = 0.5 * side * float(found[1 + axis])
+    return float(move[row].mean()) + onward, ONWARD_SHARE * abs(onward)
+
+
+def lattice_step(seen: Observation) -> FloatArray:
+    """(2,) spacing of the particles of an image along x and y [px]."""
+    step = []
+    for axis in range(2):
+        gap = np.diff(np.unique(np.round(seen.rest[:, axis], 6)))
+        step.append(float(gap.min()) if len(gap) else np.nan)
+    return np.asarray(np.nan_to_num(np.array(step), nan=float(np.nanmin(step))))
+
+
+def _mean_noise(seen: Observation, part: IntArray) -> float:
+    """Standard deviation of the mean motion of particles (n,) [unit]; errors of flow are shared within its window."""
+    if seen.noise is None:
+        return 0.0
+    count = float(len(part))
+    if seen.unit == "px":
+        count = min(count, 1.0 + float(np.ptp(seen.rest[part], axis=0).max()) / FLOW_WINDOW_PX)
+    return float(np.sqrt(np.mean(seen.noise[part] ** 2) / count))
 
 
 def secant(
@@ -92,7 +187,10 @@ def stiffness(
     given = [seen[row].force_noise_n for row in rows]
     noise = np.array([FORCE_SHARE * f if n is None else n for n, f in zip(given, measured, strict=True)])
     missed = np.zeros(len(rows)) if misfit is None else np.array([misfit[row] ** 2 for row in rows])
-    deviation = np.maximum(np.hypot(noise, missed * measured), CERTAIN * measured.max(initial=0.0))
+    scale = np.array([seen[row].scale_sd for row in rows])
+    deviation = np.maximum(
+        np.sqrt(noise**2 + ((missed**2 + scale**2) * measured**2)), CERTAIN * measured.max(initial=0.0)
+    )
     deviation = np.where(deviation > 0.0, deviation, 1.0)
     a, b = simulated / deviation, measured / deviation
     size = np.sum(a**2, axis=1)

@@ -37,6 +37,7 @@ class Observation:
     shape, cell: the particles' lattice (last axis fastest, may have holes), None without one
     metres_per_unit: size of the unit, None for pixels of unknown size; force_n: net force [N] on the held particles
     `contact`, None if it was not measured; force_noise_n: its standard deviation [N], None if unknown
+    scale_sd: standard deviation of metres_per_unit, as a share
     held_measured: whether the held positions were measured, with the noise of the others, or are exact; None = unknown
     tip: the tip that pressed the particles of `contact`, if known; tip_at: (d,) place where the tip's axis enters it
     [unit], if known; particles show it only to within their spacing
@@ -62,6 +63,7 @@ class Observation:
     loose: IntArray | None = None
     noise_source: NoiseSource = "given"
     held_shift: float | None = None
+    scale_sd: float = 0.0
 
     def __post_init__(self) -> None:
         count, d = self.rest.shape

@@ -142,7 +142,8 @@ def seed_grid(
     """A regular grid of particles over a region of the image.
 
     roi: the region; else the bounding box of the mask, else the whole image
-    shape: (rows, cols), or spacing_px: distance of neighbours; neither: about 15 along the longer side
+    shape: (rows, cols), or spacing_px: distance of neighbours; neither: 15 along the longer side, and
+    about as close along the other
     mask: (H, W), True on material; particles off it are left out
 
     Particles are in the middle of their cells, half a spacing inside the region: on the outline itself the flow mixes
@@ -165,9 +166,11 @@ def seed_grid(
     if shape is not None:
         rows, cols = shape
         spacing = np.array([region.width / max(cols, 1), region.height / max(rows, 1)])
+    elif spacing_px is None:
+        most = max(region.width, region.height) / LONG_SIDE_PARTICLES
+        cols, rows = (max(int(side / most + 0.5), 2) for side in (region.width, region.height))
+        spacing = np.array([region.width / cols, region.height / rows])
     else:
-        if spacing_px is None:
-            spacing_px = max(region.width, region.height) / LONG_SIDE_PARTICLES
         if not spacing_px >= SMALLEST_SPACING_PX:
             raise InputError(f"a spacing of at least {SMALLEST_SPACING_PX:g} px", f"{spacing_px:.3g} px")
         cols, rows = (int(side / spacing_px + 1e-9) for side in (region.width, region.height))

@@ -5,6 +5,8 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from deformscope.errors import InputError
 from deformscope.stages.see import particles
@@ -61,8 +63,17 @@ def test_seeds_by_spacing_centred() -> None:
 
 def test_seeds_the_whole_image_by_default() -> None:
     grid = particles.seed_grid((150, 300))
-    assert grid.shape == (7, 15)
-    np.testing.assert_allclose(grid.spacing_px, [20, 20])
+    assert grid.shape == (8, 15)
+    np.testing.assert_allclose(grid.spacing_px, [20, 18.75])
+
+
+@given(sides=st.tuples(st.integers(40, 400), st.integers(40, 400)))
+def test_cells_fill_the_region_by_default(sides: tuple[int, int]) -> None:
+    """No rest is left at its border, so that the cells are the body; none is less close than 1.5 times another."""
+    grid = particles.seed_grid((500, 500), particles.Rect(7, 11, *sides))
+    np.testing.assert_allclose(grid.spacing_px * grid.shape[::-1], sides)
+    np.testing.assert_allclose(grid.rest_px[0], [7, 11] + 0.5 * grid.spacing_px)
+    assert grid.spacing_px.max() <= 1.5 * grid.spacing_px.min()
 
 
 def test_seeds_the_masks_box_without_its_holes() -> None:

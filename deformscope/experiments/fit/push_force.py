@@ -1,0 +1,149 @@
+"""The force on the contact of a video: at the fitted frame, or a log over the whole motion."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtri
+
+from deformscope.arrays import FloatArray, IntArray
+from deformscope.errors import InputError
+from deformscope.stages.fit.calibrate import Observation
+from deformscope.stages.fit.doubts import OF_STIFFNESS, ordered
+from deformscope.stages.fit.estimate import Doubt, Estimate, ForceCurve, Plane, WithInterval, relative_verdict
+from deformscope.stages.fit.force import depth_along, pushed_along
+from deformscope.stages.materials.force_offset import ForceOffset, find_offset
+from deformscope.stages.materials.plane_modulus import plane_modulus
+from deformscope.stages.materials.press_cycle import PressForce
+from deformscope.stages.see.particles import ParticleGrid, Rect, Tracked, select_held
+
+MOST_N = 100.0
+"""A larger force is not what a kitchen scale shows [N]."""
+GAIN, RESOLUTION_N = 0.02, 9.80665e-3
+"""Standard deviation of a force that is not stated: a share of it, and 1 g."""
+
+
+@dataclass(frozen=True, slots=True)
+class PushOptions:
+    """force_n: force at the last frame [N], None = that of a log; force_sd_n: its standard deviation [N], None = as of
+    a kitchen scale; scale_sd, thickness_sd: standard deviations of the picture's scale and of the thickness, as shares
+    force_offset_s: time of the log at the first frame [s], None = found by the motion; thickness_m, plane_strain: see
+    `plane_modulus`"""
+
+    force_n: float | None = None
+    force_sd_n: float | None = None
+    scale_sd: float = 0.01
+    thickness_m: float | None = None
+    thickness_sd: float = 0.02
+    plane_strain: bool = False
+    force_offset_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Pushed:
+    """An observation with its force, and what was found of a log. offset: None without a log"""
+
+    seen: Observation
+    offset: ForceOffset | None = None
+    curve: ForceCurve | None = None
+
+
+def with_force(
+    seen: Observation,
+    grid: ParticleGrid,
+    history: Sequence[Tracked],
+    times: Sequence[float],
+    parts: Sequence[str],
+    contact: Rect | None,
+    push: PushOptions,
+    log: PressForce | None,
+    level: float,
+) -> Pushed:
+    """The last pose with the force on its contact. times: of the frames, after the first [s]; parts, contact: what is
+    held, and the footprint of the tool; log: the force over time, where `push` has none"""
+    seen = dataclasses.replace(seen, contact=_contact(seen, grid, parts, contact), scale_sd=push.scale_sd)
+    if log is None:
+        assert push.force_n is not None
+        force, offset, spread = push.force_n, None, 0.0
+        curve = None
+    else:
+        moved = _depths(seen, history)
+        time_s = np.asarray(times)
+        offset = _offset(time_s, moved, log, push, level)
+        force = float(log.at(time_s[-1] + offset.value))
+        spread = 0.0
+        if offset.posterior is not None:
+            drawn = offset.posterior.quantile(np.linspace(0.005, 0.995, 199))
+            spread = float(np.std(log.at(time_s[-1] + drawn)))
+        loading = np.arange(int(moved.argmax()) + 1)
+        scale = seen.metres_per_unit
+        curve = None if scale is None else ForceCurve(scale * moved[loading], log.at(time_s[loading] + offset.value))
+        if not force > log.off_n():
+            came = f"{force:.2g} N at {time_s[-1] + offset.value:.3g} s of the log"
+            raise InputError("a force at the fitted frame", came, "--force-frame of a pressed frame")
+    usual = float(np.hypot(GAIN * force, RESOLUTION_N))
+    stated = usual if push.force_sd_n is None else push.force_sd_n
+    sd = float(np.sqrt(stated**2 + spread**2 + (0.0 if log is None else log.zero_sd_n**2)))
+    return Pushed(dataclasses.replace(seen, force_n=force, force_noise_n=sd), offset, curve)
+
+
+def found_by_force(estimate: Estimate, pushed: Pushed, push: PushOptions, seed: int) -> Estimate:
+    """An estimate with its force, and with the modulus if scale and thickness are known."""
+    seen, level = pushed.seen, estimate.level
+    assert seen.force_n is not None
+    half = float(ndtri(0.5 + 0.5 * level)) * float(seen.force_noise_n or 0.0)
+    force: WithInterval = (seen.force_n, (max(seen.force_n - half, 0.0), seen.force_n + half))
+    at = pushed.offset
+    offset = None if at is None else (at.value, at.interval)
+    estimate = dataclasses.replace(estimate, force=force, force_curve=pushed.curve, force_offset=offset)
+    doubts = list(estimate.reasons)
+    if seen.force_n > MOST_N:
+        doubts.append(Doubt("units", f"a force of {seen.force_n:.3g} N: grams given as newtons?"))
+    if push.thickness_m is None or seen.metres_per_unit is None:
+        return dataclasses.replace(estimate, reasons=ordered(doubts))
+    plane: Plane = "strain" if push.plane_strain else "stress"
+    found = plane_modulus(seen, push.thickness_m, push.thickness_sd, plane, level, seed)
+    doubts += [one for one in found.reasons if one.code == "units"]
+    of_both = [one for one in estimate.reasons if one.code in OF_STIFFNESS and one.code != "little-explained"]
+    return dataclasses.replace(
+        estimate,
+        modulus=found.modulus,
+        poisson=found.poisson,
+        plane=plane,
+        modulus_verdict=relative_verdict(*found.modulus, [*found.reasons, *of_both]),
+        reasons=ordered(doubts),
+    )
+
+
+def _contact(seen: Observation, grid: ParticleGrid, held: Sequence[str], contact: Rect | None) -> IntArray:
+    """The held particles (m,) that something pressed: the contact, else the part that moved most."""
+    parts = ["contact"] if "contact" in held else list(held)
+    each = [np.intersect1d(select_held(grid, [one], contact), seen.held) for one in parts]
+    each = [one for one in each if len(one)] or [seen.touched]
+    move = seen.deformed - seen.rest
+    return max(each, key=lambda one: float(np.linalg.norm(move[one].mean(axis=0))))
+
+
+def _depths(seen: Observation, history: Sequence[Tracked]) -> FloatArray:
+    """(T,) depth of the contact at each frame, along the push [px]."""
+    push = pushed_along(seen)
+    if push is None:
+        raise InputError("a contact that moves, for its force", "none", "the frames in order, the one at rest first")
+    found = []
+    for moment in history:
+        now = dataclasses.replace(seen, deformed=np.asarray(moment.position_px, dtype=np.float64), observed=moment.seen)
+        found.append(depth_along(now, push[0]))
+    return np.array(found)
+
+
+def _offset(time_s: FloatArray, moved: FloatArray, log: PressForce, push: PushOptions, level: float) -> ForceOffset:
+    if push.force_offset_s is None:
+        return find_offset(time_s, moved, log, level)
+    at = push.force_offset_s
+    if not log.time_s[0] <= time_s[-1] + at <= log.time_s[-1]:
+        came = f"one of {log.time_s[0]:.4g} to {log.time_s[-1]:.4g} s, and the last frame at {time_s[-1] + at:.4g} s"
+        raise InputError("a force log that has the fitted frame", came, "another --force-offset-s")
+    return ForceOffset(at, (at, at))

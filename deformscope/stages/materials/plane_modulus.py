@@ -1,0 +1,357 @@
+"""Young's modulus and Poisson's ratio of a body in a picture, by the force on its contact.
+
+The body is the union of its particles' cells, each meshed by elements of nine nodes: the particles are nodes in their
+middles, so that the mesh reaches half a spacing beyond the outermost ones. The held particles' measured positions are
+prescribed, and nodes between neighbouring held ones are interpolated: a lone node would have no reaction in the limit.
+The law is a compressible neo-Hookean one (Bonet and Wood 2008, 6.28), P = mu (F - F^-T) + lambda ln J F^-T, in plane
+stress or plane strain. The reaction is proportional to the modulus E, so that one solution for each Poisson's ratio
+gives E = F / (thickness R). The ratio follows from the free particles, and is marginalised where they do not show
+it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+from scipy.interpolate import CubicSpline
+from scipy.sparse import coo_matrix, csr_matrix
+from scipy.sparse.linalg import splu
+from scipy.spatial.distance import cdist
+
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.errors import InputError
+from deformscope.stages.fit.distance import explained_share, unexplained
+from deformscope.stages.fit.doubts import known_of, little_explained
+from deformscope.stages.fit.estimate import Doubt, Plane, Posterior, WithInterval
+from deformscope.stages.fit.force import FLOW_WINDOW_PX, FORCE_SHARE, lattice_step, pushed_along
+from deformscope.stages.fit.model import Observation
+
+RATIOS = np.array([0.0, 0.08, 0.16, 0.24, 0.32, 0.4, 0.45, 0.49])
+"""Poisson's ratios that are simulated; quantities between them are interpolated."""
+RATIO_KNOWN = 0.25
+"""Widest interval of Poisson's ratio that counts as determined."""
+DRAWS = 4000
+BESIDE = 2
+"""Particles on each side of the contact whose measured positions are prescribed too: part of the force is theirs."""
+ROUNDS, LEFT = 40, 1e-9
+"""Newton's steps, and residual as a share of the largest reaction at which they end."""
+MANY_CELLS = 900
+"""Bodies of more cells are not meshed a second time with half the element size."""
+SOFT_PA = 300.0, 2e7
+"""Range of the modulus of soft things: of the softest gels and foams, and of hard rubber [Pa]."""
+FLAT, DEEP = 0.05, 3.0
+"""Least and largest thickness of a body, as a share of its size in the picture, that is likely."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlaneModulus:
+    """modulus: Young's modulus [Pa]; poisson: Poisson's ratio, each with its interval; explained: share of the motion
+    that elasticity explains; reasons: reasons to doubt the modulus"""
+
+    modulus: WithInterval
+    poisson: WithInterval
+    explained: float
+    reasons: tuple[Doubt, ...]
+
+    @property
+    def poisson_known(self) -> bool:
+        """Whether the motion determines Poisson's ratio; else its interval is hardly narrower than its prior."""
+        return self.poisson[1][1] - self.poisson[1][0] <= RATIO_KNOWN
+
+
+def plane_modulus(
+    seen: Observation, thickness_m: float, thickness_sd: float, plane: Plane, level: float, seed: int
+) -> PlaneModulus:
+    """The modulus by one observation with a lattice, a force and a scale.
+
+    thickness_m: of the body at rest, along the view; thickness_sd: its standard deviation, as a share. The interval has
+    the noise of the held positions, of force, scale and thickness, Poisson's ratio, the element size, and where the
+    edge of the contact is between the last held particle and the next one. Raises InputError where nothing but the
+    contact is held, and for a motion that turns the material inside out."""
+    assert seen.force_n is not None
+    assert seen.metres_per_unit is not None
+    push = pushed_along(seen)
+    if push is None or not len(np.setdiff1d(seen.held, seen.touched)):
+        raise InputError("a still part among --held, for a modulus", "the contact alone", "--held bottom,contact")
+    body = _Body(seen, plane, push[0])
+    judged = seen.free_observed & body.meshed & ~body.measured
+    each, start = [], None
+    for ratio in RATIOS:
+        start = body.solve(float(ratio), start)
+        each.append((start, body.reaction(start, float(ratio))))
+    left = np.stack([(body.particles(u) - seen.deformed)[judged] for u, _ in each])
+    reaction = np.array([one for _, one in each])
+    if not (reaction > 0.0).all():
+        raise InputError(
+            "a contact that is pushed into the body", "one that is pulled", "the frames in order, or --held"
+        )
+    posterior = _ratio_posterior(seen, judged, left)
+    best = float(posterior.parameter[posterior.density.argmax()])
+    near = int(np.abs(RATIOS - best).argmin())
+    state, log_reaction = body.solve(best, each[near][0]), np.log(reaction)
+    at_best = float(np.log(body.reaction(state, best)))
+    finer = 0.0
+    if len(seen.rest) <= MANY_CELLS:
+        fine = _Body(seen, plane, push[0], fine=2)
+        finer = float(np.log(fine.reaction(fine.solve(best), best))) - at_best
+    force_sd = FORCE_SHARE * seen.force_n if seen.force_noise_n is None else seen.force_noise_n
+    noise = body.reaction_noise(state, best) / float(np.exp(at_best))
+    share = max(explained_of(seen, body.particles(state), judged), 0.0)
+    variance = np.sum(np.square([force_sd / seen.force_n, seen.scale_sd, thickness_sd, noise, finer, 1.0 - share]))
+    rng = np.random.default_rng(seed)
+    nu = posterior.quantile(rng.random(DRAWS))
+    scale = thickness_m * seen.metres_per_unit
+    log_modulus = np.log(seen.force_n / scale) - finer - CubicSpline(RATIOS, log_reaction)(nu)
+    drawn = np.exp(log_modulus + np.sqrt(variance) * rng.standard_normal(DRAWS))
+    low, value, high = (float(one) for one in np.quantile(drawn, [0.5 - 0.5 * level, 0.5, 0.5 + 0.5 * level]))
+    reasons = (*little_explained(share, left_is_noise=False, seen=[seen]), *_implausible(seen, value, thickness_m))
+    return PlaneModulus((value, (low, high)), (best, posterior.shortest(level, best)), share, reasons)
+
+
+def explained_of(seen: Observation, simulated: FloatArray, judged: BoolArray) -> float:
+    """Share of the motion beyond a rigid one that positions (K, 2) explain. judged: (K,) particles that count"""
+    left = unexplained(seen.rest, seen.deformed, simulated, judged, known_of(seen))
+    return explained_share([left], float(np.ptp(seen.rest, axis=0).max()))
+
+
+def _implausible(seen: Observation, modulus_pa: float, thickness_m: float) -> Iterator[Doubt]:
+    low, high = SOFT_PA
+    if not low <= modulus_pa <= high:
+        text = f"a modulus of {modulus_pa:.2g} Pa is not that of a soft thing: grams for newtons, or a wrong scale?"
+        yield Doubt("units", text, "weak")
+    size_m = float(np.ptp(seen.rest, axis=0).max()) * float(seen.metres_per_unit or 1.0)
+    if not FLAT <= thickness_m / size_m <= DEEP:
+        text = f"the body is {size_m:.2g} m large in the picture and {thickness_m:.2g} m thick: is the scale right?"
+        yield Doubt("units", text, "weak")
+
+
+def _ratio_posterior(seen: Observation, judged: BoolArray, left: FloatArray) -> Posterior:
+    """Of Poisson's ratio, even before the data. left: (n, k, 2) errors of the judged particles at `RATIOS`; errors of
+    flow are shared within its window, so that only so many particles count"""
+    count = int(judged.sum())
+    step = lattice_step(seen)
+    apart = float(np.prod(np.minimum(step / FLOW_WINDOW_PX, 1.0))) if seen.unit == "px" else 1.0
+    noise = 0.0 if seen.noise is None else float(np.mean(seen.noise[judged] ** 2))
+    grid = np.linspace(RATIOS[0], RATIOS[-1], 491)
+    squares = np.sum(CubicSpline(RATIOS, left)(grid) ** 2, axis=(1, 2))
+    variance = max(noise, float(squares.min()) / (2 * count), 1e-12 * float(step @ step))
+    log_density = -0.5 * apart * squares / variance
+    density = np.exp(log_density - log_density.max())
+    return Posterior(grid, density / np.trapezoid(density, grid))
+
+
+class _Body:
+    """The mesh. fine: elements along a side of a cell; meshed, measured: (K,) particles whose cell it has, and those
+    whose measured position is prescribed"""
+
+    def __init__(self, seen: Observation, plane: Plane, toward: FloatArray, *, fine: int = 1) -> None:
+        assert seen.shape is not None
+        assert seen.cell is not None
+        self._seen, self._plane, self._toward = seen, plane, toward
+        rows, columns = np.divmod(seen.cell, seen.shape[1])
+        particle = np.full(seen.shape, -1)
+        particle[rows, columns] = np.arange(len(rows))
+        pieces, _ = ndimage.label(particle >= 0)
+        piece = pieces[rows, columns]
+        self.meshed: BoolArray = np.isin(piece, piece[seen.held])
+        particle[rows[~self.meshed], columns[~self.meshed]] = -1
+        self._particle = particle
+        step, side = lattice_step(seen), 2 * fine
+        origin = np.median(seen.rest - step * np.column_stack([columns, rows]), axis=0) - 0.5 * step
+        height, width = side * seen.shape[0] + 1, side * seen.shape[1] + 1
+        corners = [
+            ((side * row + 2 * i) * width + side * column + 2 * j)
+            for row, column in np.argwhere(particle >= 0)
+            for i in range(fine)
+            for j in range(fine)
+        ]
+        nine = (np.arange(3)[:, None] * width + np.arange(3)).ravel()
+        used, flat = np.unique(np.add.outer(corners, nine), return_inverse=True)
+        self._elements: IntArray = flat.reshape(-1, 9)
+        at = np.column_stack([used % width, used // width])
+        self._rest: FloatArray = origin + at * step / side
+        places = np.full(height * width, -1)
+        places[used] = np.arange(len(used))
+        middle = np.where(self.meshed, (side * rows + fine) * width + side * columns + fine, used[0])
+        self._middle: IntArray = places[middle]
+        self._slopes, self._weights = _nine_nodes(step / fine)
+        line = _contact_line(seen, rows, columns, toward) & self.meshed
+        self.measured: BoolArray = np.isin(np.arange(len(rows)), seen.held) & self.meshed | line
+        fixed, weights, touching = [], [], []
+        for node, place in enumerate(at / side - 0.5):
+            if found := self._between(place[::-1]):
+                fixed.append(node)
+                weights += [(len(fixed) - 1, one, weight) for one, weight in found.items()]
+                touching.append(all(line[one] for one in found))
+        self.fixed: IntArray = np.array(fixed)
+        self._touching: BoolArray = np.array(touching)
+        row, column, weight = zip(*weights, strict=True)
+        self._of_held = csr_matrix((weight, (row, column)), shape=(len(fixed), len(rows)))
+        self._free: IntArray = np.setdiff1d(np.arange(2 * len(used)), self._dofs(self.fixed))
+
+    @staticmethod
+    def _dofs(nodes: IntArray) -> IntArray:
+        return (2 * nodes[:, None] + np.arange(2)).ravel()
+
+    def _between(self, place: FloatArray) -> dict[int, float]:
+        """Weights of the measured particles that prescribe a place (row, column) of the lattice; none where it is free.
+        A line of them goes on to the body's edge."""
+        ways: list[list[tuple[dict[int, float], int | None]]] = []
+        for value in place:
+            low = int(np.floor(value))
+            share = float(value - low)
+            some: list[tuple[dict[int, float], int | None]] = [({low: 1.0 - share, low + 1: share}, None)]
+            some = some if share else [({low: 1.0}, None)]
+            some += [({low: 1.0 + share, low - 1: -share}, low + 1)] if 0.0 < share <= 0.5 else []
+            some += [({low + 1: 2.0 - share, low + 2: share - 1.0}, low)] if share >= 0.5 else []
+            ways.append(some)
+        for by_row, past_row in ways[0]:
+            for by_column, past_column in ways[1]:
+                found = {self._at(row, column): a * b for row, a in by_row.items() for column, b in by_column.items()}
+                if -1 in found or not all(self.measured[one] for one in found):
+                    continue
+                is_edge = all(self._at(past_row, one) < 0 for one in by_column) if past_row is not None else True
+                if past_column is not None:
+                    is_edge &= all(self._at(one, past_column) < 0 for one in by_row)
+                if is_edge:
+                    return found
+        return {}
+
+    def _at(self, row: int, column: int) -> int:
+        inside = 0 <= row < self._particle.shape[0] and 0 <= column < self._particle.shape[1]
+        return int(self._particle[row, column]) if inside else -1
+
+    def particles(self, moved: FloatArray) -> FloatArray:
+        """(K, 2) positions of the particles, of displacements (n, 2)."""
+        return np.asarray(self._seen.rest + moved[self._middle])
+
+    def solve(self, ratio: float, start: FloatArray | None = None) -> FloatArray:
+        """(n, 2) displacements of the nodes at rest. start: those of a similar ratio"""
+        seen = self._seen
+        wanted = self._of_held @ (seen.deformed - seen.rest)
+        steps = 1
+        while steps <= 16:
+            moved = np.zeros_like(self._rest) if start is None or steps > 1 else start.copy()
+            for share in np.arange(1, steps + 1) / steps:
+                ahead = np.zeros_like(moved)
+                ahead[self.fixed] = share * wanted - moved[self.fixed]
+                if not self._relax(moved, ahead, ratio):
+                    break
+            else:
+                return moved
+            steps *= 4
+        raise InputError("a motion of elastic material", "one that turns it inside out", "--held and --roi on the body")
+
+    def _relax(self, moved: FloatArray, ahead: FloatArray, ratio: float) -> bool:
+        """Newton's method, in place; whether it converged. ahead: (n, 2) what prescribed nodes still have to move"""
+        stiff = ahead.ravel()
+        for _ in range(ROUNDS):
+            force, tangent = self._forces(moved, ratio)
+            if not np.isfinite(force).all():
+                return False
+            if not stiff.any() and np.abs(force[self._free]).max() <= LEFT * max(np.abs(force).max(), 1e-300):
+                return True
+            step = stiff.copy()
+            rows = tangent[self._free]
+            step[self._free] = -splu(rows[:, self._free].tocsc()).solve(force[self._free] + rows @ stiff)
+            if not np.isfinite(step).all():
+                return False
+            size = 1.0
+            while size > 1e-3 and self._folds(moved + size * step.reshape(-1, 2)):
+                size *= 0.5
+            moved += size * step.reshape(-1, 2)
+            stiff = (1.0 - size) * stiff
+        return False
+
+    def _gradient(self, moved: FloatArray) -> FloatArray:
+        """(elements, points, 2, 2) deformation gradient."""
+        return np.asarray(np.eye(2) + np.einsum("eai,qaj->eqij", moved[self._elements], self._slopes, optimize=True))
+
+    def _folds(self, moved: FloatArray) -> bool:
+        return bool((np.linalg.det(self._gradient(moved)) <= 0.05).any())
+
+    def _forces(self, moved: FloatArray, ratio: float) -> tuple[FloatArray, csr_matrix]:
+        """Forces (2 n,) of the nodes on the material for a modulus of 1 and a thickness of 1, and their slopes."""
+        gradient = self._gradient(moved)
+        turned, lame, shear = np.swapaxes(np.linalg.inv(gradient), 2, 3), *lame_of(ratio)
+        a, b = _law(np.linalg.det(gradient), lame, shear, self._plane)
+        stress = shear * gradient - a[..., None, None] * turned
+        force = np.zeros_like(self._rest)
+        each = np.einsum("eqij,qaj,q->eai", stress, self._slopes, self._weights, optimize=True)
+        np.add.at(force, self._elements, each)
+        eye = np.eye(2)
+        slope = shear * np.einsum("ik,jl->ijkl", eye, eye) + np.zeros((*a.shape, 2, 2, 2, 2))
+        slope += a[..., None, None, None, None] * np.einsum("eqil,eqkj->eqijkl", turned, turned)
+        slope += b[..., None, None, None, None] * np.einsum("eqij,eqkl->eqijkl", turned, turned)
+        how = "eqijkl,qaj,qbl,q->eaibk"
+        block = np.einsum(how, slope, self._slopes, self._slopes, self._weights, optimize=True).reshape(-1, 18, 18)
+        dofs = (2 * self._elements[:, :, None] + np.arange(2)).reshape(-1, 18)
+        rows, columns = np.repeat(dofs, 18, axis=1).ravel(), np.tile(dofs, (1, 18)).ravel()
+        return force.ravel(), coo_matrix((block.ravel(), (rows, columns)), shape=(force.size, force.size)).tocsr()
+
+    def reaction(self, moved: FloatArray, ratio: float) -> float:
+        """Force of the contact along its push, for a modulus of 1 and a thickness of 1 [unit of lengths]."""
+        force = self._forces(moved, ratio)[0].reshape(-1, 2)
+        return float(force[self.fixed[self._touching]].sum(axis=0) @ self._toward)
+
+    def reaction_noise(self, moved: FloatArray, ratio: float) -> float:
+        """Standard deviation of `reaction` by the noise of the held positions, which neighbours share."""
+        seen = self._seen
+        if seen.noise is None:
+            return 0.0
+        _, tangent = self._forces(moved, ratio)
+        pull = np.zeros_like(moved)
+        pull[self.fixed[self._touching]] = self._toward
+        by_all = tangent.T @ pull.ravel()
+        free = self._free
+        back = np.zeros(len(by_all))
+        back[free] = splu(tangent[free][:, free].T.tocsc()).solve(by_all[free])
+        by_fixed = (by_all - tangent.T @ back).reshape(-1, 2)[self.fixed]
+        by_held = (self._of_held.T @ by_fixed)[self.measured] * seen.noise[self.measured, None]
+        shared = np.exp(-cdist(seen.rest[self.measured], seen.rest[self.measured]) / FLOW_WINDOW_PX)
+        return float(np.sqrt(max(np.einsum("ni,nm,mi->", by_held, shared, by_held), 0.0)))
+
+
+def _contact_line(seen: Observation, rows: IntArray, columns: IntArray, toward: FloatArray) -> BoolArray:
+    """(K,) the contact's particles, and those in line with its innermost ones: the whole force passes through them, of
+    whatever width the tool is. rows, columns: (K,) of the lattice"""
+    axis = int(np.abs(toward).argmax())
+    across, along = (rows, columns) if axis else (columns, rows)
+    touched = seen.touched
+    deep = across[touched] * np.sign(toward[axis])
+    innermost = touched[deep == deep.max()]
+    first, last = along[innermost].min() - BESIDE, along[innermost].max() + BESIDE
+    line = (across == across[innermost[0]]) & (along >= first) & (along <= last) & seen.free_observed
+    line[touched] = True
+    return np.asarray(line)
+
+
+def lame_of(ratio: float) -> tuple[float, float]:
+    """Lame's first constant and the shear modulus, of a modulus of 1."""
+    return ratio / ((1.0 + ratio) * (1.0 - 2.0 * ratio)), 0.5 / (1.0 + ratio)
+
+
+def _law(volume: FloatArray, lame: float, shear: float, plane: Plane) -> tuple[FloatArray, FloatArray]:
+    """a, b of P = shear F - a F^-T and dP = shear dF + a F^-T dF^T F^-T + b (F^-T : dF) F^-T. volume: ratio of areas.
+    In plane stress the stretch s along the view has no stress: shear (s^2 - 1) + lame ln(volume s) = 0"""
+    volume = np.maximum(volume, 1e-6)
+    if plane == "strain":
+        return shear - lame * np.log(volume), np.full_like(volume, lame)
+    s = np.ones_like(volume)
+    for _ in range(30):
+        slope = 2.0 * shear * s + lame / s
+        s = np.maximum(s - (shear * (s**2 - 1.0) + lame * np.log(volume * s)) / slope, 0.2 * s)
+    return shear * s**2, 2.0 * shear * s * lame / (2.0 * shear * s + lame / s)
+
+
+def _nine_nodes(step: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Slopes (9, 9, 2) of the functions of nine nodes at nine points of integration, and their weights (9,). step:
+    sides along x and y; nodes row by row, y down the rows"""
+    at, weight = np.polynomial.legendre.leggauss(3)
+    value = np.stack([at * (at - 1.0) / 2.0, 1.0 - at**2, at * (at + 1.0) / 2.0], axis=1)
+    slope = np.stack([at - 0.5, -2.0 * at, at + 0.5], axis=1)
+    along_x = np.einsum("pi,qj->pqij", value, slope).reshape(9, 9) * 2.0 / step[0]
+    along_y = np.einsum("pi,qj->pqij", slope, value).reshape(9, 9) * 2.0 / step[1]
+    return np.stack([along_x, along_y], axis=2), np.outer(weight, weight).ravel() * float(np.prod(step)) / 4.0
