@@ -27,6 +27,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "MaterialJob": ("AxesConfig", "FieldConfig", "YieldConfig", "ViscousConfig"),
     "ParticleOptions": ("BetaConfig", "ThetaConfig", "RecordConfig"),
     "PlanOptions": ("ExploreConfig",),
+    "PushOptions": ("BetaConfig", "ThetaConfig"),
     "SweepOptions": ("SweepConfig",),
     "TrackOptions": (),
     "UnloadingOptions": ("YieldConfig", "ViscousConfig"),

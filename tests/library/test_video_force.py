@@ -218,5 +218,7 @@ def test_the_particles_are_there_as_a_pair_and_predict_takes_the_model(
     assert (seen.unit, model.parameter) == ("px", "beta")
     found.save(tmp_path / "block.npz")
     depth_m = 0.06 * 0.01 * HIGH / PX_PER_CM
-    poked = ds.predict(tmp_path / "block.npz", at=(0.5 * 0.01 * WIDE / PX_PER_CM, 0.0), depth=depth_m)
+    poked = ds.predict(
+        tmp_path / "block.npz", at=(0.5 * 0.01 * WIDE / PX_PER_CM, 0.0), depth_m=depth_m, tip="flat", size_m=(0.03,)
+    )
     assert poked.to_dict()["force_n"] > 0.0

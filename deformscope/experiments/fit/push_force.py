@@ -13,7 +13,7 @@ from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.fit.calibrate import Observation
 from deformscope.stages.fit.doubts import OF_STIFFNESS, ordered
-from deformscope.stages.fit.estimate import Doubt, Estimate, ForceCurve, Plane, WithInterval, relative_verdict
+from deformscope.stages.fit.estimate import Doubt, Estimate, PushCurve, Plane, WithInterval, relative_verdict
 from deformscope.stages.fit.force import depth_along, pushed_along
 from deformscope.stages.materials.force_offset import ForceOffset, find_offset
 from deformscope.stages.materials.plane_modulus import plane_modulus
@@ -48,7 +48,7 @@ class Pushed:
 
     seen: Observation
     offset: ForceOffset | None = None
-    curve: ForceCurve | None = None
+    curve: PushCurve | None = None
 
 
 def with_force(
@@ -80,7 +80,7 @@ def with_force(
             spread = float(np.std(log.at(time_s[-1] + drawn)))
         loading = np.arange(int(moved.argmax()) + 1)
         scale = seen.metres_per_unit
-        curve = None if scale is None else ForceCurve(scale * moved[loading], log.at(time_s[loading] + offset.value))
+        curve = None if scale is None else PushCurve(scale * moved[loading], log.at(time_s[loading] + offset.value))
         if not force > log.off_n():
             came = f"{force:.2g} N at {time_s[-1] + offset.value:.3g} s of the log"
             raise InputError("a force at the fitted frame", came, "--force-frame of a pressed frame")

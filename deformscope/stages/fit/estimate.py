@@ -85,7 +85,7 @@ class Curve:
 
 
 @dataclass(frozen=True, slots=True)
-class ForceCurve:
+class PushCurve:
     """Force over the depth of a push, at the frames of its loading. depth_m, force_n: (n,) [m], [N]"""
 
     depth_m: FloatArray
@@ -338,7 +338,7 @@ class Estimate(ReportedResult):
     poisson: WithInterval | None = field(default=None, metadata=reported(optional=True, json=_with_interval))
     plane: Plane | None = field(default=None, metadata=reported(optional=True))
     modulus_verdict: Verdict | None = field(default=None, metadata=reported(optional=True))
-    force_curve: ForceCurve | None = field(default=None, metadata=reported(optional=True))
+    force_curve: PushCurve | None = field(default=None, metadata=reported(optional=True))
     force_offset: WithInterval | None = field(
         default=None, metadata=reported(key="force_offset_s", optional=True, json=_with_interval)
     )
