@@ -13,7 +13,7 @@ from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.fit.calibrate import Observation
 from deformscope.stages.fit.doubts import OF_STIFFNESS, ordered
-from deformscope.stages.fit.estimate import Doubt, Estimate, PushCurve, Plane, WithInterval, relative_verdict
+from deformscope.stages.fit.estimate import Doubt, Estimate, Plane, PushCurve, WithInterval, relative_verdict
 from deformscope.stages.fit.force import depth_along, pushed_along
 from deformscope.stages.materials.force_offset import ForceOffset, find_offset
 from deformscope.stages.materials.plane_modulus import plane_modulus
