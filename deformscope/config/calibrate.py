@@ -86,7 +86,7 @@ class PushFlags(Flags):
     """Time of a log at the video's first frame [s]; default: found by the rise of the force against that of the
     motion, and for a recording of ours the same clock."""
     force_sd: flags.ForceSdFlag = None
-    """Uncertainty of the force, such as 2g or 0.05N. Default: 2 % of it and 1 g, as of a kitchen scale."""
+    """Uncertainty of the force, such as 2g or 0.05N. Default: 2 % of it and a kitchen scale's 1 g."""
     scale_sd: Annotated[float, flags.SHARE] = 0.01
     """Uncertainty of the picture's scale, as a share; 0.01 is 1 mm in 10 cm."""
     thickness_m: flags.PositiveFlag = None

@@ -1,4 +1,4 @@
-"""The force over time that belongs to images: of their own recording, or of a log beside them."""
+"""The force over time that belongs to images: of their own recording, or of a log."""
 
 from __future__ import annotations
 
