@@ -28,8 +28,8 @@ GAIN, RESOLUTION_N = 0.02, 9.80665e-3
 
 @dataclass(frozen=True, slots=True)
 class PushOptions:
-    """force_n: force at the last frame [N], None = that of a log; force_sd_n: its standard deviation [N], None = that of a
-    kitchen scale; scale_sd, thickness_sd: standard deviations of the picture's scale and of the thickness, as shares
+    """force_n: force at the last frame [N], None = that of a log; force_sd_n: its standard deviation [N], None = a kitchen
+    scale's; scale_sd, thickness_sd: standard deviations of the picture's scale and of the thickness, as shares
     force_offset_s: time of the log at the first frame [s], None = found by the motion; thickness_m, plane_strain: see
     `plane_modulus`"""
 
@@ -62,8 +62,8 @@ def with_force(
     log: PressForce | None,
     level: float,
 ) -> Pushed:
-    """The last pose with the force on its contact. times: time of each frame after the first [s]; parts, contact: what is
-    held, and the footprint of the tool; log: the force over time, where `push` has none"""
+    """The last pose with the force on its contact. times: time of each frame after the first [s]; parts,
+    contact: what is held, and the footprint of the tool; log: the force over time, where `push` has none"""
     seen = dataclasses.replace(seen, contact=_contact(seen, grid, parts, contact), scale_sd=push.scale_sd)
     if log is None:
         assert push.force_n is not None

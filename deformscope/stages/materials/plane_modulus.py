@@ -66,10 +66,10 @@ def plane_modulus(
 ) -> PlaneModulus:
     """The modulus by one observation with a lattice, a force and a scale.
 
-    thickness_m: thickness of the body at rest, along the view; thickness_sd: its standard deviation, as a share. The interval has
-    the noise of the held positions, of force, scale and thickness, Poisson's ratio, the element size, and where the
-    edge of the contact is between the last held particle and the next one. Raises InputError where nothing but the
-    contact is held, and for a motion that turns the material inside out."""
+    thickness_m: thickness of the body at rest, along the view; thickness_sd: its standard deviation, as a share. The
+    interval has the noise of the prescribed positions, of force, scale and thickness, Poisson's ratio, the element
+    size, and what elasticity does not explain. Raises InputError where nothing but the contact is held, and for a
+    motion that turns the material inside out."""
     assert seen.force_n is not None
     assert seen.metres_per_unit is not None
     push = pushed_along(seen)
