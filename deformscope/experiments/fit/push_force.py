@@ -28,8 +28,8 @@ GAIN, RESOLUTION_N = 0.02, 9.80665e-3
 
 @dataclass(frozen=True, slots=True)
 class PushOptions:
-    """force_n: force at the last frame [N], None = that of a log; force_sd_n: its standard deviation [N], None = a kitchen
-    scale's; scale_sd, thickness_sd: standard deviations of the picture's scale and of the thickness, as shares
+    """force_n: force at the last frame [N], None = that of a log; force_sd_n: its standard deviation [N], None = a
+    kitchen scale's; scale_sd, thickness_sd: standard deviations of the picture's scale and of the thickness, as shares
     force_offset_s: time of the log at the first frame [s], None = found by the motion; thickness_m, plane_strain: see
     `plane_modulus`"""
 
