@@ -9,6 +9,7 @@ import pytest
 from deformscope.cli import main
 from deformscope.recording.items import read_results, read_stage_results
 from deformscope.stages.map.exploration import MapEstimate, SurfaceEstimate, TouchEstimate
+from tests.cli.quick_scene import use_coarse_maps
 from tests.imports.test_importing import answered, inspected
 from tests.imports.touched_bag import GEOMETRY, SIZE_M, THICKNESS_M, stiffness_n_per_mm, write_touched_bag
 from tests.verified import verify_here
@@ -42,7 +43,10 @@ def test_stages_run_on_what_is_imported_and_are_replayed(tmp_path: Path, capfd: 
     assert "identical" in "".join(capfd.readouterr())
 
 
-def test_recorded_touches_become_a_map(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_recorded_touches_become_a_map(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    use_coarse_maps(monkeypatch)
     made = tmp_path / "map.rrd"
     flags = ["--beta-model", "none", "--record", str(made), "--json", str(tmp_path / "found.json")]
     assert main(["explore", str(imported(tmp_path)), *flags]) == 0
