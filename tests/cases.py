@@ -1,7 +1,8 @@
 """Cases of parametrised tests: which of them a default run takes, and which are left to `make test-slow`; short names
 of fixtures' types."""
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
+from itertools import product
 from typing import Any
 
 import pytest
@@ -20,3 +21,9 @@ def slow_but(quick: Collection[Any], cases: Iterable[Any]) -> list[Any]:
     cases = list(cases)
     assert all(case in cases for case in quick)
     return [case if case in quick else slow(*(case if isinstance(case, tuple) else (case,))) for case in cases]
+
+
+def each_once(*columns: Sequence[Any]) -> list[Any]:
+    """All combinations of the columns' values, slow but for as few as have each value."""
+    quick = [tuple(column[at % len(column)] for column in columns) for at in range(max(map(len, columns)))]
+    return slow_but(quick, product(*columns))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from deformscope.cli import main
-from tests.cases import slow
+from tests.cases import each_once, slow
 from tests.imports.test_captures_and_files import SENSITIVITY, TIP, check_forces, imported, readings, refused
 from tests.imports.test_import_mistakes import Bag
 from tests.imports.test_importing import frames_of, inspected
@@ -81,8 +81,7 @@ def test_messages_of_ros_1_in_an_mcap_are_read(tmp_path: Path) -> None:
     check(write_mcap(tmp_path / "bag.mcap", "ros1", ros=1), tmp_path / "r.rrd")
 
 
-@pytest.mark.parametrize("name", OTHERS)
-@pytest.mark.parametrize("profile", ["ros2", ""])
+@pytest.mark.parametrize(("name", "profile"), each_once([*OTHERS], ["ros2", ""]))
 def test_a_topic_that_is_not_of_ros_keeps_no_other_from_being_read(
     name: str, profile: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -193,8 +192,7 @@ OTHER_FRAMES = {
 }
 
 
-@pytest.mark.parametrize("name", OTHER_FRAMES)
-@pytest.mark.parametrize("place", [0, 31])
+@pytest.mark.parametrize(("name", "place"), each_once([*OTHER_FRAMES], [0, 31]))
 def test_frames_of_other_devices_cost_no_reading(
     name: str, place: int, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

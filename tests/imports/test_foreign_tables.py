@@ -15,7 +15,7 @@ from deformscope.cli import main
 from deformscope.files.delimited import form_of, moment_ns
 from deformscope.files.table_file import read_table
 from deformscope.frames import WrenchFrame
-from tests.cases import slow
+from tests.cases import each_once, slow
 from tests.imports.test_captures_and_files import imported, refused
 from tests.imports.test_import_mistakes import AXES, map_of
 from tests.imports.test_importing import frames_of, inspected
@@ -85,8 +85,10 @@ def test_a_table_is_one_whatever_its_ending(suffix: str, tmp_path: Path) -> None
     np.testing.assert_array_equal(found, TRUTH)
 
 
-@pytest.mark.parametrize("separator", [",", ";", "\t", " "])
-@pytest.mark.parametrize("last", ["0.400;1.5", "0.400;1.5\n", "0.400;1.500;", "0.400;1.500;2.000;3.0", "0.4"])
+@pytest.mark.parametrize(
+    ("separator", "last"),
+    each_once([",", ";", "\t", " "], ["0.400;1.5", "0.400;1.5\n", "0.400;1.500;", "0.400;1.500;2.000;3.0", "0.4"]),
+)
 def test_a_last_line_that_was_cut_is_left_out_and_named(
     separator: str, last: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from deformscope_drivers.arm.kinematics import rotation_from_euler_xyz
+from tests.cases import each_once
 from tests.imports.test_captures_and_files import imported, refused
 from tests.imports.test_import_mistakes import MS, TRANSFORMS, Bag
 from tests.imports.test_importing import frames_of, inspected
@@ -245,8 +246,7 @@ def pose_map(columns: dict[str, str], unit: str, more: str = "") -> str:
     return f'[[streams]]\ndevice = "arm"\nkind = "arm"\n{table}{more}'
 
 
-@pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("by_axis", [False, True], ids=["in order", "by axis"])
+@pytest.mark.parametrize(("form", "by_axis"), each_once([*FORMS], [False, True]))
 def test_a_rotation_of_a_table_is_asked_for_and_read(
     form: str, by_axis: bool, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

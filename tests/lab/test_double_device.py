@@ -1,6 +1,7 @@
 """A double stands in for a device wherever the rig file says that the device is, without hardware and kernel's CAN."""
 
 import os
+import re
 from importlib import resources
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from deformscope.lab.double_device import double_device
 from deformscope.lab.rig_members import member_of
 from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.rig_file import parse_rig
+from tests.cases import slow_but
 from tests.patience import PATIENCE_S
 
 ONE = "{ counts_at_nominal = [NUMBERS], nominal = [NUMBERS] }"
@@ -41,8 +43,11 @@ WAYS = {
     "depth_camera": ["", 'port = "usb:1-2"', 'port = "walk.oni"', 'library = "/tmp/x"'],
 }
 
+CASES = [(driver, way) for driver, ways in WAYS.items() for way in ways]
+QUICK = [case for case in CASES if not re.search("socket:|rfc2217|ANOTHER", case[1])]
 
-@pytest.mark.parametrize(("driver", "way"), [(driver, way) for driver, ways in WAYS.items() for way in ways])
+
+@pytest.mark.parametrize(("driver", "way"), slow_but(QUICK, CASES))
 def test_a_double_needs_nothing_of_what_the_file_names(driver: str, way: str) -> None:
     (entry,) = parse_rig(f'[devices.a]\ndriver = "{driver}"\ndouble = true\n{way}', "r").devices
     with member_of(entry) as member, member.device as device:

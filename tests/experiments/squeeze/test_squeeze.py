@@ -14,6 +14,7 @@ from deformscope.recording.recorder import Recorder
 from deformscope.robot.squeeze_robot import SQUEEZE_PERIOD_NS
 from deformscope.robot.squeeze_supervisor import SqueezeFault, gap_m
 from deformscope.session import run
+from tests.cases import each_once, slow
 from tests.experiments.toy_squeeze import ToySqueeze, closing, limits, spoil_arrays
 
 BEFORE_A = (1.0, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5)
@@ -219,21 +220,14 @@ def test_a_finger_that_cannot_reach_its_pre_shape_is_refused() -> None:
     stopped(session, SqueezeFault.PRESHAPE)
 
 
-@pytest.mark.parametrize(("fingers", "bytes_per_s"), [((0, 2), None), ((2,), 11_520.0)])
-@pytest.mark.parametrize(
-    ("phase", "fault"),
-    [
-        ("air", "dead"),
-        ("close", "dead"),
-        ("squeeze", "dead"),
-        ("hold", "dead"),
-        ("squeeze", "frozen"),
-        ("hold", "frozen"),
-    ],
-)
+DEAD = ["air dead", "close dead", "squeeze dead", "hold dead", "squeeze frozen", "hold frozen"]
+
+
+@pytest.mark.parametrize(("when", "pads"), each_once(DEAD, [((0, 2), None), ((2,), 11_520.0)]))
 def test_a_finger_that_is_held_while_its_array_reads_nothing_or_repeats_itself_is_no_trial(
-    phase: str, fault: str, fingers: tuple[int, ...], bytes_per_s: float | None
+    when: str, pads: tuple[tuple[int, ...], float | None]
 ) -> None:
+    (phase, fault), (fingers, bytes_per_s) = when.split(), pads
     lab = Watched(bytes_per_s=bytes_per_s)
     lab.squeeze = dataclasses.replace(lab.squeeze, hold_s=0.6)
     session, struck_ns = Session(lab), list[int]()
@@ -288,7 +282,7 @@ def test_a_hand_that_a_busy_computer_left_alone_for_a_while_contradicts_nothing(
     assert found.features is not None
 
 
-@pytest.mark.parametrize("speed_deg_s", [0.5, 20.0])
+@pytest.mark.parametrize("speed_deg_s", [slow(0.5), 20.0])
 def test_a_container_that_hardly_presses_contradicts_nothing_at_any_speed(speed_deg_s: float) -> None:
     lab = ToySqueeze(stiffness_pa_deg=60.0)
     lab.squeeze = dataclasses.replace(

@@ -21,7 +21,7 @@ from deformscope.stages.materials.yield_history import YieldOptions
 from deformscope.stages.msm.materials import Plasticity
 from deformscope.stages.msm.plastic import PlasticMsm
 from studies.reproduce.pressed_cubes import thesis_cubes
-from tests.cases import slow
+from tests.cases import each_once, slow
 from tests.stages.bodies import pushed
 from tests.stages.materials.test_plasticity import BETA, pressed
 
@@ -117,8 +117,7 @@ def test_what_only_trembles_did_not_move() -> None:
     assert reason.code == "little-explained"
 
 
-@pytest.mark.parametrize("noise_m", [0.0, NOISE_M])
-@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize(("noise_m", "known"), each_once([0.0, NOISE_M], [False, True]))
 def test_a_body_that_only_moves_as_a_whole_is_not_asked_for_its_units(noise_m: float, known: bool) -> None:
     moved = seen_sheet(0.6)
     noise = np.random.default_rng(1).normal(0.0, noise_m, moved.rest.shape) if noise_m else 0.0

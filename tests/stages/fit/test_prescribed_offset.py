@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from deformscope.stages.fit.calibrate import Calibration, FitOptions, Model, Observation, calibrate
+from tests.cases import slow
 from tests.stages.bodies import SPACING_M, pushed
 
 NOISE = 1e-4
@@ -27,7 +28,7 @@ def fit(off: float, *, noise: float | None = NOISE, held_measured: bool | None =
     return calibrate([seen], FitOptions(model, candidates=30)), displaced
 
 
-@pytest.mark.parametrize(("noise", "held_measured"), [(NOISE, None), (NOISE, False)])
+@pytest.mark.parametrize(("noise", "held_measured"), [slow(NOISE, None), (NOISE, False)])
 def test_a_held_particle_that_is_off_is_named_and_put_right(noise: float, held_measured: bool | None) -> None:
     found, displaced = fit(0.3, noise=noise, held_measured=held_measured)
     assert found.left_out[0].held.tolist() == [displaced]

@@ -9,6 +9,7 @@ from deformscope.stages.materials import cell_model
 from deformscope.stages.msm.clusters import lattice
 from deformscope.stages.msm.solver import Msm
 from studies.independent.orthotropic_elements import OrthotropicLaw
+from tests.cases import slow
 
 
 def grid(shape: tuple[int, ...], spacing: float = 0.01) -> FloatArray:
@@ -47,7 +48,7 @@ def test_derivatives_are_those_of_differences(law: cell_model.Law, shape: tuple[
     assert np.allclose(change, state.response @ (other - moved).ravel()[held], atol=1e-12)
 
 
-@pytest.mark.parametrize("shape", [(5, 4), (4, 3, 3)])
+@pytest.mark.parametrize("shape", [(5, 4), slow((4, 3, 3))])
 def test_derivatives_by_what_makes_it_anisotropic_are_those_of_differences(shape: tuple[int, ...]) -> None:
     rng = np.random.default_rng(1)
     rest, cells, ends, moved = pulled(shape)

@@ -79,7 +79,7 @@ def _newton(engine: Msm, beta: float, position: FloatArray) -> Any:
 
 
 @named
-@pytest.mark.parametrize("beta", [0.0, slow(0.6), 0.99])
+@pytest.mark.parametrize("beta", [slow(0.0), slow(0.6), 0.99])
 def test_the_preconditioner_is_symmetric_and_positive(name: str, beta: float, device: str) -> None:
     engine, held = _poked(name, device)
     newton = _newton(engine, beta, engine.relax(held, beta).position[0])

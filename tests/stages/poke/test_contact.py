@@ -13,6 +13,7 @@ from deformscope.stages.poke.contact import (
     layer_modulus,
     peak_rate,
 )
+from tests.cases import slow
 
 NORMAL = np.array([0.3, -0.2, 1.2])
 EXPONENT = {"sphere": 1.5, "disc": 1.0, "flat": 1.0}
@@ -77,7 +78,7 @@ def test_a_threshold_for_contact_makes_a_sphere_look_15_to_20_percent_stiffer_an
     assert abs(np.mean(fitted)) < 0.01
 
 
-@pytest.mark.parametrize("force_sd_n", [0.005, 0.02, 0.05])
+@pytest.mark.parametrize("force_sd_n", [slow(0.005), slow(0.02), 0.05])
 def test_the_peak_rate_of_a_ramp_is_its_slope_and_its_interval_holds_it_in_90_percent(force_sd_n: float) -> None:
     # a flat tip at 10 mm/s into what dents by 4 mm at 3 N
     fits = [fit_approach(*approach(seed, 0.004, "flat", force_sd_n=force_sd_n), tip="flat") for seed in range(300)]

@@ -106,7 +106,7 @@ def test_a_stiff_inclusion_under_three_of_twelve_pokes_is_believed(seed: int) ->
 @pytest.mark.parametrize(
     ("kind", "size_m"),
     slow_but(
-        [("uniform", 0.05), ("materials", 0.05), ("materials", 0.6), ("gradual", 0.6)],
+        [("uniform", 0.05), ("materials", 0.05), ("gradual", 0.6)],
         list(product(["uniform", "materials", "gradual"], [0.05, 0.6])),
     ),
 )

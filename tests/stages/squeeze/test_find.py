@@ -11,6 +11,7 @@ from deformscope.lab.container_view import ContainerView
 from deformscope.lab.ray_camera import DepthViewConfig, looking_at
 from deformscope.stages.see.cloud import Intrinsics, back_project
 from deformscope.stages.squeeze.find import ContainerHidden, compare, find_container, matches
+from tests.cases import slow
 
 CAMERA = looking_at(np.array([0.0, 0.0, 0.08]), 1.0, 35.0, -70.0)
 
@@ -35,7 +36,7 @@ def points(shape: ContainerShape, T: FloatArray, seed: int, noise: float = 1.0) 
 
 
 @pytest.mark.parametrize("shape", [BOX, CYLINDER], ids=["box", "cylinder"])
-@pytest.mark.parametrize("noise", [1.0, 2.0])
+@pytest.mark.parametrize("noise", [slow(1.0), 2.0])
 def test_its_place_and_size_are_found_within_what_is_claimed(shape: ContainerShape, noise: float) -> None:
     random = np.random.default_rng(5)
     size = tuple(2.0 * side for side in shape.half_m)

@@ -12,7 +12,7 @@ from deformscope.runs.classifier_check import ClassifierCheckResult
 from deformscope.stages.squeeze import model_check
 from deformscope.stages.squeeze.model import ContentModel, fit_model
 from deformscope.stages.squeeze.model_check import check_model
-from tests.cases import Patch
+from tests.cases import Patch, slow
 from tests.stages.squeeze.trials import stepped, two_modalities
 
 PROMISED = {"accuracy": 0.97, "interval": (0.95, 0.99)}
@@ -105,7 +105,7 @@ def test_answers_that_are_too_sure_have_a_calibration_error_that_shows() -> None
     assert before.debiased.interval[0] == 0.0
 
 
-@pytest.mark.parametrize("off", [0.0, 0.05, 0.15])
+@pytest.mark.parametrize("off", [slow(0.0), slow(0.05), 0.15])
 def test_the_debiased_error_is_what_was_put_in_and_its_interval_holds_it(off: float, monkeypatch: Patch) -> None:
     """Answers whose probabilities are above the share that is right by as much, 300 at a time."""
     monkeypatch.setattr(model_check, "DRAWS", 200)
