@@ -64,6 +64,30 @@ def pytest_pycollect_makemodule(module_path: Path, parent: pytest.Collector) -> 
 
 
 def pytest_configure() -> None:
+    _compile_kernels_once()
+    _make_parsers_once()
+
+
+def _make_parsers_once() -> None:
+    """Tests read a thousand command lines; tyro would make each command's parser anew, 10 to 50 ms long."""
+    if importlib.util.find_spec("tyro") is None:
+        return
+    from tyro._parsers import ParserSpecification
+
+    plain, made = ParserSpecification.from_callable_or_type, dict[tuple[object, ...], ParserSpecification]()
+
+    def once(f: Any, **named: Any) -> ParserSpecification:
+        if named["intern_prefix"] or named["parent_classes"]:  # a part of another one
+            return plain(f, **named)
+        key = f, named["description"], id(named["default_instance"])
+        if key not in made:
+            made[key] = plain(f, **named)
+        return made[key]
+
+    ParserSpecification.from_callable_or_type = staticmethod(once)  # type: ignore[method-assign]
+
+
+def _compile_kernels_once() -> None:
     """Of several test processes one compiles a module of kernels while the others wait; warp would let each do so."""
     if "PYTEST_XDIST_WORKER" not in os.environ or importlib.util.find_spec("warp") is None:
         return

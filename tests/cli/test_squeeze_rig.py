@@ -134,6 +134,7 @@ def test_a_hand_that_is_lost_while_it_squeezes(rig: Path, capsys: Capture, monke
     kept_as_discarded(made[0], found, "hand lost", EXIT_LOSSES)
 
 
+@pytest.mark.slow  # quick at `tests/experiments/squeeze/test_squeeze.py`
 def test_arrays_that_read_nothing_while_something_holds_the_fingers(
     rig: Path, capsys: Capture, monkeypatch: Patch
 ) -> None:
@@ -148,6 +149,7 @@ def test_arrays_that_read_nothing_while_something_holds_the_fingers(
     kept_as_discarded(made[0], found, "tactile arrays contradict the fingers: finger ")
 
 
+@pytest.mark.slow
 def test_a_ctrl_c_that_comes_later_is_not_the_reason(rig: Path, capsys: Capture, monkeypatch: Patch) -> None:
     rig.write_text(rig.read_text() + "saturation_counts = 60\n")
 

@@ -103,6 +103,7 @@ def test_a_slab_that_yields_takes_the_share_and_one_that_does_not_is_as_before(m
     assert asked == [(19, POISSON, RADIUS_M, THICKNESS_M)]
 
 
+@pytest.mark.slow
 def test_foam_that_yields_gives_way_the_deeper_the_more() -> None:
     share = force_share(20, POISSON, RADIUS_M, THICKNESS_M, np.array([0.0005, 0.002, 0.006]))
     assert (np.diff(share) < 0.0).all()

@@ -8,6 +8,7 @@ from deformscope.robot.readings import RobotObservation
 from deformscope.robot.robot import RobotStopped
 from deformscope.robot.supervisor import Fault, SafetyDecision
 from deformscope.robot.touch import TouchEnding, run_touch
+from tests.cases import slow
 from tests.robot.quick_touch import quick_scene
 
 FAULTS = [fault for fault in Fault if fault is not Fault.NONE]
@@ -19,7 +20,7 @@ def test_every_cause_has_its_advice(cause: Fault | TouchEnding) -> None:
     assert bool(advice(cause)) is (cause is not Fault.ASKED)
 
 
-@pytest.mark.parametrize("fault", [Fault.ASKED, Fault.FORCE_HARD, Fault.FORCE_SILENT])
+@pytest.mark.parametrize("fault", [slow(Fault.ASKED), Fault.FORCE_HARD, slow(Fault.FORCE_SILENT)])
 def test_who_is_told_of_a_stop_in_contact_is_told_how_hard_the_tip_presses(fault: Fault) -> None:
     scene = quick_scene(3)
     robot = scene.robot

@@ -63,14 +63,14 @@ def bench() -> Iterator[Bench]:
         ([(0, 0, 8)], True),
         slow([(1, -1, 5.5)], True),
         slow([(0, 0, 11)], True),  # above the soft stop
-        ([(0, 0, 0)], False),  # nobody presses
+        slow([(0, 0, 0)], False),  # nobody presses
         ([(0, 0, 5)] * 3, False),  # too little: what saturates below the set force would do as well
-        ([(0, 0, 13)] * 3, False),  # too much
+        slow([(0, 0, 13)] * 3, False),  # too much
         ([(0, 0, -8)] * 3, False),  # from above: a sign is wrong
         ([(8, 0, 0)] * 3, False),  # from the side: axes are
         slow([(5, 0, 5)] * 3, False),
         ([(0, 0, 1), (0, 0, 8)], True),  # the second time
-        ([(0, 0, 1)] * 3 + [(0, 0, 8)], False),  # no more than three
+        slow([(0, 0, 1)] * 3 + [(0, 0, 8)], False),  # no more than three
     ],
 )
 def test_a_finger_is_felt_from_below_and_about_as_hard_as_asked_for(

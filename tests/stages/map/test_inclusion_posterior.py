@@ -22,6 +22,7 @@ from deformscope.stages.map.inclusion_posterior import (
 from deformscope.stages.map.plan import PlanOptions
 from deformscope.stages.poke.inclusion_footprint import contrast_share, footprint, inclusion_shift
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
+from tests.cases import slow
 
 GRID = MapGrid((0.2, 0.2))
 PRIOR = InclusionPrior(set_force_n=5.0)
@@ -104,16 +105,17 @@ def test_a_lump_is_found_where_it_is_whatever_the_order_of_the_touches() -> None
     assert shown.level[1] > shown.level[0]
 
 
-def test_foam_that_scatters_smoothly_is_learned_and_a_lump_told_from_it() -> None:
+@pytest.mark.parametrize("fields", [2, slow(4)])
+def test_foam_that_scatters_smoothly_is_learned_and_a_lump_told_from_it(fields: int) -> None:
     """Over 4 cm, by 6 %, without an inclusion and with one, 20 % at most: fields touched on a lattice of 2.8 cm."""
     at, found, alarms, scatter = lattice(0.028), 0, 0, []
-    for seed in range(1000, 1004):
+    for seed in range(1000, 1000 + fields):
         lump = (0.08 + 0.01 * (seed - 1000), 0.085, 0.02, 0.012, 10.0)
         with_lump, without = (touched(at, scattering(foam(*some, seed=seed), 0.06, seed)) for some in ((lump,), ()))
         found += any(np.hypot(*(one.centre_m - lump[:2])) < 0.02 for one in with_lump.found)
         alarms += len(without.found)
         scatter.append(without.scatter)
-    assert found >= 3
+    assert found >= fields - 1
     assert alarms == 0
     assert 0.03 < np.median(scatter) < 0.12
 

@@ -181,14 +181,14 @@ def test_a_length_at_its_bound_is_reported(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_outliers_are_left_out_where_asked_and_named() -> None:
     rng = np.random.default_rng(9)
-    places = rng.uniform(size=(800, 2)) * SIZE
-    heights = 0.005 * np.sin(places[:, 0] / 0.1) + rng.normal(size=800) * 1e-3
-    wild = rng.choice(800, 16, replace=False)
-    heights[wild] += rng.choice([-1.0, 1.0], 16) * rng.uniform(0.02, 0.05, 16)
+    places = rng.uniform(size=(400, 2)) * SIZE
+    heights = 0.005 * np.sin(places[:, 0] / 0.1) + rng.normal(size=400) * 1e-3
+    wild = rng.choice(400, 8, replace=False)
+    heights[wild] += rng.choice([-1.0, 1.0], 8) * rng.uniform(0.02, 0.05, 8)
     points = np.column_stack([places, heights])
     kept = fit_surface(points, outlier_sd=4.5)
     assert set(np.flatnonzero(~kept.used)) >= set(wild)
-    assert np.count_nonzero(~kept.used) < 20
+    assert np.count_nonzero(~kept.used) < 10
     assert kept.noise_m[0] == pytest.approx(1e-3, rel=0.08)
     assert fit_surface(points).used.all()
 
