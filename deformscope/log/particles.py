@@ -65,7 +65,7 @@ STILL_PX = 0.25
 
 def log_flow(rec: rr.RecordingStream, flow: FlowField, canvas: Canvas) -> None:
     """Log the motion since the previous frame, at the particles or on a sparse grid, coloured by its length."""
-    origin, vector, step_px = _sparse(flow.flow_px, canvas)
+    origin, vector, step_px = _sparse(flow, canvas)
     length_px = np.hypot(vector[:, 0], vector[:, 1])
     end_px = round_up(float(np.max(length_px, initial=0.0)))
     times = _stretch(length_px, step_px)
@@ -85,9 +85,9 @@ def log_flow(rec: rr.RecordingStream, flow: FlowField, canvas: Canvas) -> None:
     log_legend(rec, "flow/legend/note", canvas, [(2.0, note, LABEL)], row=1)
 
 
-def _sparse(flow_px: FloatArray, canvas: Canvas) -> tuple[FloatArray, FloatArray, float]:
+def _sparse(flow: FlowField, canvas: Canvas) -> tuple[FloatArray, FloatArray, float]:
     """(n, 2) origins [px] and (n, 2) vectors [px], and their distance [px]."""
-    height, width = flow_px.shape[:2]
+    height, width = flow.flow_px.shape[:2]
     step_px = max(max(height, width) / ARROWS_ALONG, 4.0)
     if canvas.particles is not None:
         # at the particles alone: outside the thing the flow is a guess, often a wild one
@@ -96,8 +96,8 @@ def _sparse(flow_px: FloatArray, canvas: Canvas) -> tuple[FloatArray, FloatArray
     else:
         x, y = (np.arange(step_px / 2, side - 1, step_px) for side in (width, height))
         origin = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    columns, rows = np.rint(origin).astype(np.intp).T.clip(0, [[width - 1], [height - 1]])
-    vector = flow_px[rows, columns]
+    columns, rows = np.rint(flow.inside(origin)).astype(np.intp).T.clip(0, [[width - 1], [height - 1]])
+    vector = flow.flow_px[rows, columns]
     known = np.isfinite(vector).all(axis=1)
     return origin[known], vector[known], step_px
 

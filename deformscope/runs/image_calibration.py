@@ -31,6 +31,7 @@ from deformscope.session import run
 from deformscope.stages.fit.calibrate import FitOptions
 from deformscope.stages.fit.search import Progress
 from deformscope.stages.materials.press_cycle import PressForce
+from deformscope.stages.see.follow import LARGE_PX
 from deformscope.stages.see.particles import clean_mask
 from deformscope_drivers.clock import Stamp
 
@@ -42,7 +43,7 @@ FOLLOWED_S, FEWEST_FRAMES = 7.5, 16
 
 def _thinned(source: Source, particles: ParticleOptions, every: bool, note: Note) -> ParticleOptions:
     """A long sequence is thinned, unless all frames are requested; the number of frames is announced."""
-    each_s, count = FLOW_S_PER_PX * float(np.prod(source.size)), source.count or 0
+    each_s, count = FLOW_S_PER_PX * min(float(np.prod(source.size)), LARGE_PX), source.count or 0
     if count <= (most := max(FEWEST_FRAMES, round(FOLLOWED_S / each_s))):
         return particles
     if every:

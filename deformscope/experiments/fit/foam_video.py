@@ -20,8 +20,8 @@ from deformscope.session import Experiment, Step, measuring
 from deformscope.stages.fit.calibrate import Calibration, FitOptions, Model, Observation, Progress, calibrate
 from deformscope.stages.fit.estimate import Comparison
 from deformscope.stages.materials.press_cycle import PressForce
-from deformscope.stages.see.flow import FlowStep, flow_onward
-from deformscope.stages.see.particles import ParticleGrid, Rect, Tracked, advance, seed_grid, select_held, start
+from deformscope.stages.see.follow import Follower
+from deformscope.stages.see.particles import ParticleGrid, Rect, Tracked, seed_grid, select_held, start
 
 FRAMES_AT_ONCE = 256
 """Number of frames simulated in one launch; the next launch starts from the last of them."""
@@ -112,16 +112,16 @@ def track(
     if times is not None:
         times.append(0.0)
     step = Step((grid, history[0]))
-    flow: FlowStep | None = None
+    follower = Follower(grid, frame.image.shape[:2])
     while True:
         following = yield step
         if following is None:
             return grid, history
-        flow = flow_onward(frame.image, following.image, flow)
-        history.append(advance(history[-1], flow.forward, flow.backward))
+        flow, there = follower.step(frame.image, following.image, history[-1])
+        history.append(there)
         if times is not None:
             times.append(1e-9 * (following.stamp.host_ns - began.host_ns))
-        step = Step((flow.forward, history[-1]))
+        step = Step((flow, there))
         frame = following
 
 

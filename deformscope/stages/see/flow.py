@@ -31,11 +31,24 @@ class FlowField:
     flow_px: (H, W, 2) float32, (x, y) [px]; x to the right, y down; noise_px: (H, W) float32, one standard deviation of
     each coordinate [px] as image noise and texture let expect
     misfit: (H, W) float32, 0 to 1, share of the contrast around a pixel that the flow leaves unexplained beyond the
-    usual noise: near 1 the pixel is not visible at its new place"""
+    usual noise: near 1 the pixel is not visible at its new place
+    origin_px, scale: where the flow is that of a part of a picture, reduced: corner (x, y) of the part [px], and pixels
+    of the picture for one of these; lengths are in pixels of the picture"""
 
     flow_px: FloatArray
     noise_px: FloatArray | None = None
     misfit: FloatArray | None = None
+    origin_px: tuple[int, int] = (0, 0)
+    scale: int = 1
+
+    def placed(self, origin_px: tuple[int, int], scale: int) -> FlowField:
+        """This flow of a reduced part as that of its picture."""
+        noise = None if self.noise_px is None else self.noise_px * np.float32(scale)
+        return FlowField(self.flow_px * np.float32(scale), noise, self.misfit, origin_px, scale)
+
+    def inside(self, xy: FloatArray) -> FloatArray:
+        """(K, 2) points of the picture [px], in pixels of this array."""
+        return np.asarray((xy - self.origin_px + 0.5) / self.scale - 0.5)
 
 
 def grey(image: Image) -> FloatArray:
@@ -85,21 +98,41 @@ class FlowStep:
     fits: tuple[FloatArray, FloatArray]
 
 
-def flow_onward(before: Image, after: Image, last: FlowStep | None = None) -> FlowStep:
+def flow_onward(before: Image, after: Image, last: FlowStep | None = None, at: FloatArray | None = None) -> FlowStep:
     """Flow both ways in a sequence, in a seventh of the time if the motion continues.
 
     last: result of the step to `before`. Its flow is refined alone, without features and DIS. If the images then
     correlate worse than in the last step by `FIT_DROP` anywhere, motion or light have changed, and the flow is computed
-    as for a pair."""
+    as for a pair. at: (K, 2) points (x, y) [px] of a body that moves before another thing: the last flow is carried
+    along with it, and the correlation is compared at these points alone"""
     a, b = _views(before, after)
     if last is not None:
-        there, back = last.forward.flow_px, last.backward.flow_px
+        there, back, *was = last.forward.flow_px, last.backward.flow_px, *last.fits
+        if at is not None:
+            there, back, *was = (_follow(one, last.backward.flow_px)[0] for one in (there, back, *was))
         fields = _both(lambda: _refine(a, b, there, PASSES_ONWARD), lambda: _refine(b, a, back, PASSES_ONWARD))
         fits = _fits(a, b, fields)
-        if all(float((was - fit).max()) < FIT_DROP for was, fit in zip(last.fits, fits, strict=True)):
+        drops = [one - fit for one, fit in zip(was, fits, strict=True)]
+        if at is not None:
+            col, row = np.rint(at).astype(int).clip(0, (a.shape[1] - 1, a.shape[0] - 1)).T
+            drops = [drop[row, col] for drop in drops]
+        if all(float(drop.max(initial=0.0)) < FIT_DROP for drop in drops):
             return FlowStep(*fields, fits)
     fields = flow_both_ways(before, after)
     return FlowStep(*fields, _fits(a, b, fields))
+
+
+def refined(before: Image, after: Image, rough: tuple[FlowField, FlowField]) -> tuple[FlowField, FlowField]:
+    """Flow both ways, from that of the same images at half or a third of their resolution."""
+    a, b = _views(before, after)
+    times = round(a.shape[1] / rough[0].flow_px.shape[1])
+    there, back = (_enlarge(one.flow_px * np.float32(times), a.shape) for one in rough)
+    return _both(lambda: _refine(a, b, there, PASSES_ONWARD), lambda: _refine(b, a, back, PASSES_ONWARD))
+
+
+def reduced(image: Image, by: int) -> Image:
+    """An image (H, W[, c]) averaged over `by` x `by` px, of which H and W are multiples."""
+    return image if by == 1 else np.asarray(_shrink(image, by))
 
 
 def _fits(a: FloatArray, b: FloatArray, fields: tuple[FlowField, FlowField]) -> tuple[FloatArray, FloatArray]:
@@ -233,8 +266,8 @@ PASSES = (8.0, 8.0, 6.0, 6.0, 6.0)
 """Standard deviation of the Gaussian window of each refinement pass [px]."""
 
 PASSES_ONWARD = PASSES[-2:]
-"""Number of passes that start from the previous step's flow: a third pass changes no particle's error
-(docs/results/fits.md)."""
+"""Passes that start from the previous step's flow, or from that of a lower resolution: a third pass changes no
+particle's error (docs/results/fits.md)."""
 
 FIT_DROP = 0.25
 """Fall of the correlation in a window of 8 px, between two steps of a sequence, that noise does not explain. In steady

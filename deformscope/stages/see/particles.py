@@ -28,7 +28,7 @@ NOISE_FLOOR_PX = 0.002
 """Smallest deviation of a flow [px]."""
 
 RESIDUAL_PX, RESIDUAL_SHARE = 0.3, 0.03
-"""Forward-backward residual [px], and share of the flow more, up to which a particle is never lost."""
+"""Forward-backward residual [px of the flow], and share of the flow more, up to which a particle is never lost."""
 
 MISFIT_LOST = 0.5
 """Share of the surroundings' contrast left unexplained by the flow at which a particle counts as lost."""
@@ -268,9 +268,10 @@ def advance(tracked: Tracked, forward: FlowField, backward: FlowField) -> Tracke
     if forward.flow_px.shape != backward.flow_px.shape:
         raise InputError("two flows of one size", f"{forward.flow_px.shape} and {backward.flow_px.shape}")
     here = tracked.position_px
-    step = sample(forward.flow_px, here)
+    cell = forward.inside(here)
+    step = sample(forward.flow_px, cell)
     there = here + step
-    residual = step + sample(backward.flow_px, there)
+    residual = step + sample(backward.flow_px, backward.inside(there))
     length = np.linalg.norm(residual, axis=1)
     found = tracked.seen & np.isfinite(length)
     # Over the nine nearest found particles, itself among them: one particle's own residual is a single draw, and the
@@ -283,13 +284,13 @@ def advance(tracked: Tracked, forward: FlowField, backward: FlowField) -> Tracke
         around = np.abs(residual[found][near]).reshape(len(here), -1)
         # The median of |normal| is 0.6745 of its standard deviation.
         spread = np.median(around, axis=1) / 0.6745 / np.sqrt(2)
-    limit = RESIDUAL_PX + RESIDUAL_SHARE * np.linalg.norm(step, axis=1)
+    limit = RESIDUAL_PX * forward.scale + RESIDUAL_SHARE * np.linalg.norm(step, axis=1)
     with np.errstate(invalid="ignore"):  # what is not finite is not found either
         seen = found & (length <= np.clip(5.0 * typical, limit, 3.0 * limit))
     if forward.misfit is not None:
         with np.errstate(invalid="ignore"):
-            seen &= sample(forward.misfit[:, :, None], here)[:, 0] < MISFIT_LOST
-    own = np.zeros(len(here)) if forward.noise_px is None else sample(forward.noise_px[:, :, None], here)[:, 0]
+            seen &= sample(forward.misfit[:, :, None], cell)[:, 0] < MISFIT_LOST
+    own = np.zeros(len(here)) if forward.noise_px is None else sample(forward.noise_px[:, :, None], cell)[:, 0]
     noise = np.sqrt(tracked.noise_px**2 + np.maximum(own**2 + spread**2, NOISE_FLOOR_PX**2))
     return Tracked(
         position_px=np.where(seen[:, None], there, here),
