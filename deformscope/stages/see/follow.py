@@ -50,7 +50,7 @@ class View:
 
     @classmethod
     def around(cls, at: FloatArray, spacing: float, size: tuple[int, int], margin: float) -> View:
-        """The view of points (K, 2) [px]. spacing: their distance [px]; size: (H, W) of the picture; margin: [px]"""
+        """The view of points (K, 2) [px]. spacing: their distance [px]; size: height and width of the picture; margin: [px]"""
         fine = max(1, int(spacing / FINE_PX))
         coarse = fine * min(max(1, int(spacing / fine / COARSE_PX)), 3)
         limit = np.array([size[1], size[0]]) // coarse
@@ -76,7 +76,7 @@ class View:
 
 
 class Follower:
-    """Follows particles from image to image. grid: the particles at rest; size: (H, W) of the images [px]"""
+    """Follows particles from image to image. grid: the particles at rest; size: height and width of the images [px]"""
 
     def __init__(self, grid: ParticleGrid, size: tuple[int, int]) -> None:
         self._size, self._spacing = size, float(grid.spacing_px.min())
