@@ -50,7 +50,7 @@ class View:
 
     @classmethod
     def around(cls, at: FloatArray, spacing: float, size: tuple[int, int], margin: float) -> View:
-        """The view of points (K, 2) [px]. spacing: their distance [px]; size: height, width of the picture; margin: [px]"""
+        """The view of points (K, 2) [px]. spacing: their distance; size: height, width of the picture; margin [px]"""
         fine = max(1, int(spacing / FINE_PX))
         coarse = fine * min(max(1, int(spacing / fine / COARSE_PX)), 3)
         limit = np.array([size[1], size[0]]) // coarse
