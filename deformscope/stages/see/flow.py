@@ -320,7 +320,8 @@ def _refine(a: FloatArray, b: FloatArray, flow: FloatArray, passes: Sequence[flo
         u, left = _smooth(u, weight, (open_ + 1e-7) / (texture + 1e-7))
     # Noise has gradients too, about 0.15 of the residual's power: those say nothing.
     left = left * (texture + 1e-7) / (np.maximum(texture - 0.15 * rr, 0.25 * texture) + 1e-7)
-    return FlowField(*(_enlarge(x, a.shape) for x in (u, np.sqrt(np.minimum(left, 100.0)), misfit)))
+    flow, noise, misfit = (_enlarge(x, a.shape) for x in (u, np.sqrt(np.minimum(left, 100.0)), misfit))
+    return FlowField(flow, noise, misfit)
 
 
 def _alike(a: FloatArray, b: FloatArray, inside: FloatArray) -> tuple[FloatArray, FloatArray]:
