@@ -159,7 +159,8 @@ class CalibrateOptions(RecordedOptions):
     """Options that `calibrate beta` and `calibrate theta` share."""
 
     sources: flags.Sources
-    """A video, a folder of frames, images in the given order, pair files (.npz), or a recording (.rrd)."""
+    """A video, a folder of frames, images in the given order, pair files (.npz), or a recording (.rrd). In images
+    without --roi, --mask, --outline, --held and --contact the body, what holds it and what pushes it are found."""
     alpha: AlphaFlag = field(default=1.0, kw_only=True)
     """Stiffness of the pull to the goal positions."""
     at: flags.ShareFlag = field(default=None, kw_only=True)

@@ -19,14 +19,14 @@ class ParticleFlags(Flags):
     """Where particles are placed in an image, and which of them are held."""
 
     roi: flags.RectangleFlag = None
-    """Region of the image that holds the body [px]; default: the whole image."""
+    """Region of the image that holds the body [px]; default: the whole image, or what `calibrate` finds."""
     grid: flags.GridFlag = None
     """Rows and columns of particles over the region, such as 7x15."""
     spacing_px: flags.PositiveFlag = None
     """Distance of neighbouring particles [px], instead of --grid."""
     held: flags.HeldFlag = None
     """Particles whose motion is measured in the images and prescribed: top, bottom, left, right, border or contact.
-    Default: bottom,contact with --contact, else top,bottom."""
+    Default: bottom,contact with --contact, else top,bottom, or what `calibrate` finds."""
     contact: flags.RectangleFlag = None
     """Footprint of the tool in the first image [px]; the particles inside are `contact`."""
 

@@ -18,6 +18,7 @@ from deformscope.experiments.fit.calibration_inputs import mask_of, opened_image
 from deformscope.experiments.fit.foam_video import ParticleOptions, foam_video
 from deformscope.experiments.fit.push_force import PushOptions
 from deformscope.experiments.fit.whole_motion import whole_motion
+from deformscope.file_io import SAMPLE_SCHEME
 from deformscope.files.sources import DEFAULT_FPS, Source, alike
 from deformscope.frames import ColorFrame, InputFile
 from deformscope.images import encode_png
@@ -26,6 +27,7 @@ from deformscope.pictures.evidence import Result
 from deformscope.recording.recorder import Recorder
 from deformscope.runs.calibration_result import CalibrationResult
 from deformscope.runs.force_log import force_file, read_force
+from deformscope.runs.found_body import found_in
 from deformscope.runs.result import Note, open_recorder
 from deformscope.session import run
 from deformscope.stages.fit.calibrate import FitOptions
@@ -67,17 +69,27 @@ def calibrate_images(
     """Fit a sequence of files, or of the given images (H, W[, 3]), and record it on request. images: how they become
     particles; select: as in `run_images`"""
     push, log = _push_of(config.push)
-    sources, particles = config.sources, particle_options(images, config.search.noise_px)
-    masked = images.mask is not None or images.outline is not None
-    settings = {"sources": list(sources), "stride": images.stride, "fps": images.fps, "mask": masked}
-    settings |= {"camera": images.camera} if images.camera is not None else {}
-    settings |= {"outline": list(images.outline)} if images.outline is not None else {}
+    sources = config.sources
     timed = log is not None or (select is not None and not {"alpha", "dt"}.isdisjoint(select))
     if given and timed and images.fps is None:
         expected = "--fps with --select alpha or dt, or with a log of the force"
         raise InputError(expected, "images without a frame rate", "--fps 30")
-    opened = _given_images(given, images) if given else opened_images(sources, images, timed=timed)
-    with opened as source:
+
+    def opened() -> Source:
+        return _given_images(given, images) if given else opened_images(sources, images, timed=timed)
+
+    if not any(one.startswith(SAMPLE_SCHEME) for one in sources):
+        with opened() as source:
+            if config.push.force_frame is not None:
+                source.end_at(config.push.force_frame)
+            images, found, doubts = found_in(source, images, note)
+        fit = dataclasses.replace(fit, doubts=doubts, found=found)
+    particles = particle_options(images, config.search.noise_px)
+    masked = images.mask is not None or images.outline is not None
+    settings = {"sources": list(sources), "stride": images.stride, "fps": images.fps, "mask": masked}
+    settings |= {"camera": images.camera} if images.camera is not None else {}
+    settings |= {"outline": list(images.outline)} if images.outline is not None else {}
+    with opened() as source:
         settings["timed"] = source.timed
         if config.push.force_frame is not None:
             source.end_at(config.push.force_frame)

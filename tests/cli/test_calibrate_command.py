@@ -30,6 +30,7 @@ from tests.cases import Capture, Patch
 from tests.rounding import differing_by_more
 from tests.stages import reference_states
 from tests.stages.bodies import pushed
+from tests.stages.see.scenes import Scene, render
 
 ROOT = Path(__file__).resolve().parents[2]
 FAST = ["--candidates", "12", "--viewer", "none"]
@@ -341,3 +342,50 @@ def test_bad_input_is_one_line(
 def test_replay_of_what_is_no_recording(path: str, tmp_path: Path, capsys: Capture) -> None:
     (tmp_path / "text.rrd").write_text("no recording")
     assert path in failure(["replay", str(tmp_path / path), "--viewer", "none"], capsys)
+
+
+@pytest.fixture(scope="module")
+def pressed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Six images of a block that a tool presses, on a background."""
+    folder = tmp_path_factory.mktemp("pressed")
+    for index, one in enumerate(render(Scene())):
+        cv2.imwrite(str(folder / f"{index}.png"), one[:, :, ::-1])
+    return folder
+
+
+def test_a_body_that_no_flag_names_is_found_and_its_flags_give_the_same(
+    pressed: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    record = tmp_path / "found.rrd"
+    assert main(["calibrate", "beta", str(pressed), *FAST, "--record", str(record), "--json", "-"]) == 0
+    shown = capsys.readouterr()
+    found = json.loads(shown.out)
+    flags = found["settings"]["found"]["flags"]
+    assert flags in shown.err
+    assert found["settings"]["held_parts"] == ["bottom", "contact"]
+    assert found["settings"]["found"]["sure"] is True
+    copied = run_json(["calibrate", "beta", str(pressed), *flags.split()], capsys)
+    assert (copied["value"], copied["interval"]) == (found["value"], found["interval"])
+    assert main(["replay", str(record), "--viewer", "none", "--json", "-"]) == 0
+    replayed = capsys.readouterr()
+    assert json.loads(replayed.out) == found
+    assert "identical" in replayed.err
+
+
+def test_a_body_that_is_not_surely_found_leaves_a_weak_verdict(
+    pressed: Path, monkeypatch: Patch, capsys: Capture
+) -> None:
+    monkeypatch.setattr("deformscope.stages.see.find_body.SURE", 1.01)
+    found = run_json(["calibrate", "beta", str(pressed)], capsys)
+    assert found["verdict"] != "identified"
+    reason = next(one for one in found["reasons"] if one["code"] == "body-unsure")
+    assert reason["allows"] == "weak"
+    assert "region (--outline or --roi)" in reason["text"]
+
+
+def test_two_scenes_are_one_line(pressed: Path, tmp_path: Path, capsys: Capture) -> None:
+    files = sorted(pressed.glob("*.png"))
+    for index, file in enumerate(files):
+        image = cv2.imread(str(file))
+        cv2.imwrite(str(tmp_path / f"{index}.png"), image if index < 3 else image[:, ::-1])
+    assert "expected images of one scene" in failure(["calibrate", "beta", str(tmp_path)], capsys)

@@ -123,7 +123,8 @@ def calibrate(
     )
     supported = (fit.tried.parameter >= ends[0]) & (fit.tried.parameter <= ends[1])
     converged = inferred.converged and bool(fit.tried.converged[supported].all())
-    shown = [*shape_doubts(seen), *(_in_residuals(judged, best, inference) if pace is None and converged else ())]
+    shown = [*options.doubts, *shape_doubts(seen)]
+    shown += _in_residuals(judged, best, inference) if pace is None and converged else []
     shown += either if "two-materials" not in (one.code for one in shown) else []
     # frames of a motion carry no force
     k = None if one_motion else _stiffness(fit, best, supported, inferred, options.level)
@@ -191,6 +192,7 @@ def _settings(seen: Sequence[Observation], options: FitOptions) -> dict[str, obj
         "device": model.device,
         "pose_held": all(s.pose_held for s in seen),
         **at,
+        **({"found": options.found} if options.found else {}),
     }
 
 

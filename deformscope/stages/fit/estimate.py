@@ -51,6 +51,8 @@ DoubtCode = Literal[
     "no-plateau",
     "large-strain",
     "smooth-error",
+    "body-unsure",
+    "unfit-images",
 ]
 
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, field
+from typing import Any, Literal
 
 import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.stages.fit.estimate import LengthUnit, NoiseSource, Parameter
+from deformscope.stages.fit.estimate import Doubt, LengthUnit, NoiseSource, Parameter
 from deformscope.stages.msm import clusters
 from deformscope.stages.msm.poke import Tip
 from deformscope.stages.msm.reference import Basis, Volume
@@ -140,7 +140,8 @@ class FitOptions:
     method: "sweep" tries `candidates` values over `bounds` and refines around the lowest error (Algorithm 3).
     "gradient" follows the slope (Algorithm 2's purpose) and draws the curve only along its path
     level: level of the interval; seed: seed of its random repeats
-    at: a value whose error is reported as well, None = none"""
+    at: a value whose error is reported as well, None = none
+    doubts: those of the input, known before the fit; found: what was found in the input, for the record"""
 
     model: Model = Model()
     bounds: tuple[float, float] = (0.0, 0.99)
@@ -149,3 +150,5 @@ class FitOptions:
     level: float = 0.9
     seed: int = 0
     at: float | None = None
+    doubts: tuple[Doubt, ...] = ()
+    found: dict[str, Any] = field(default_factory=dict)

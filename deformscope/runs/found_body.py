@@ -1,0 +1,61 @@
+"""The body in a sequence of images, found where no option names it."""
+
+from __future__ import annotations
+
+import dataclasses
+from contextlib import suppress
+
+import numpy as np
+
+from deformscope.config import ImageOptions
+from deformscope.errors import InputError
+from deformscope.files.sources import Source
+from deformscope.runs.result import Note
+from deformscope.stages.fit.estimate import Doubt
+from deformscope.stages.see.find_body import FoundBody, find_body
+from deformscope.stages.see.particles import clean_mask, outlined, seed_grid, select_held
+
+LOOKED_AT = 7
+"""Number of frames, evenly spread, in which the body is sought."""
+
+
+def found_in(
+    source: Source, images: ImageOptions, note: Note
+) -> tuple[ImageOptions, dict[str, object], tuple[Doubt, ...]]:
+    """The options with the body that is found in the images, if none is named; what was found, for the record; and the
+    doubts. Raises InputError for images of two scenes."""
+    source.thin(LOOKED_AT)
+    seen = [frame.image for frame in source]
+    kept = np.unique(np.linspace(0, len(seen) - 1, LOOKED_AT).round().astype(int))
+    body = find_body([seen[index] for index in kept])
+    if other := next((one for one in body.unfit if one.code in ("scene-cut", "mirrored")), None):
+        raise InputError("images of one scene", other.text, "leave out what is before or after it", source.name)
+    doubts = [Doubt("unfit-images", one.text, "weak") for one in body.unfit if one.lowers]
+    named = (images.roi, images.mask, images.outline, images.held, images.contact)
+    if any(one is not None for one in named):
+        return images, {}, tuple(doubts)
+    body = _usable(body, images, seen[0].shape)
+    if body.doubts:
+        text = f"not sure what in the images is the body: {', '.join(body.doubts)}"
+        doubts.append(Doubt("body-unsure", text, "weak"))
+        note(text)
+    if body.roi is None:
+        return images, {}, tuple(doubts)
+    note(f"found in the images: {body.flags()}")
+    contact = None if body.contact is None else dataclasses.astuple(body.contact)
+    images = dataclasses.replace(
+        images, roi=dataclasses.astuple(body.roi), outline=body.corners, held=body.held, contact=contact
+    )
+    return images, {"flags": body.flags(), "sure": body.sure, "confidence": body.confidence}, tuple(doubts)
+
+
+def _usable(body: FoundBody, images: ImageOptions, size: tuple[int, ...]) -> FoundBody:
+    """The found body, without what has no particles. size: H, W of the images [px]"""
+    for one in (body, body.without_contact()):
+        if one.corners is None:
+            return one
+        with suppress(InputError):
+            mask = clean_mask(outlined(None, one.corners, (size[0], size[1])))
+            select_held(seed_grid(size, one.roi, images.grid, images.spacing_px, mask), one.held, one.contact)
+            return one
+    return FoundBody(doubts=("region (--outline or --roi)",))
