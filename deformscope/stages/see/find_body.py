@@ -101,8 +101,8 @@ class FoundBody:
 
     outline: (n, 2) corners [px], holes joined by cuts; None = the whole image, or nothing was found
     held: sides and `contact`; contact: the tool's footprint; tool: (n, 2) outline of a second thing that moves
-    confidence: 0 to 1, for each of region, held and contact; unfit: what makes the images unfit; doubts: what is not sure, and
-    the flag that says it
+    confidence: 0 to 1, for each of region, held and contact; unfit: what makes the images unfit
+    doubts: what is not sure, and the flag that says it
     background: (images - 1, 2, 3) motion of the background from the first image [px]: shift, turn and zoom
     found: whether a body was found that is not the whole image"""
 
