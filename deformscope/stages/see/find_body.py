@@ -83,14 +83,14 @@ HOLE = 0.01
 CORNERS = 24
 """Largest number of corners of an outline without holes."""
 
-UnfitCode = Literal["scene-cut", "mirrored", "zoom", "out-of-plane", "warped", "camera-moves", "still"]
+ImageFaultCode = Literal["scene-cut", "mirrored", "zoom", "out-of-plane", "warped", "camera-moves", "still"]
 
 
 @dataclass(frozen=True, slots=True)
-class Unfit:
+class ImageFault:
     """What makes images unfit. code: stable name; text: with its numbers; lowers: whether a fit to them is doubtful"""
 
-    code: UnfitCode
+    code: ImageFaultCode
     text: str
     lowers: bool = True
 
@@ -111,7 +111,7 @@ class FoundBody:
     contact: Rect | None = None
     tool: FloatArray | None = None
     confidence: dict[str, float] = field(default_factory=dict)
-    unfit: tuple[Unfit, ...] = ()
+    unfit: tuple[ImageFault, ...] = ()
     doubts: tuple[str, ...] = ()
     background: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 3)))
 
@@ -190,7 +190,7 @@ def find_body(images: Sequence[ImageArray]) -> FoundBody:
     background[:, :, 2] /= scale
     if most < STILL_PX:
         text = f"nothing moves: {most / scale:.2g} px at most beyond the background"
-        return FoundBody(unfit=(Unfit("still", text, lowers=False),), background=background)
+        return FoundBody(unfit=(ImageFault("still", text, lowers=False),), background=background)
     region, tool, agree = _region(small[0], shades[0], motion)
     still = motion.rim >= BACKGROUND
     unfit = tuple(_unfit(motion, ~_grown(region | tool, 9), scale)) if still else ()
@@ -273,7 +273,7 @@ def _share_found(a: Any, b: Any, flow: FloatArray, least: float) -> float:
     return float(np.mean((_blur(first * second, 6.0) / np.sqrt(power))[judged] > least)) if judged.any() else 1.0
 
 
-def _other_scene(shades: Sequence[Any], flows: Sequence[FloatArray]) -> Unfit | None:
+def _other_scene(shades: Sequence[Any], flows: Sequence[FloatArray]) -> ImageFault | None:
     """A cut between scenes, or a mirrored image, if there is one. flows: from the first image to each other one"""
     for index, flow in enumerate(flows):
         if _share_found(shades[0], shades[index + 1], flow, 0.7) > SUSPECT:
@@ -284,8 +284,8 @@ def _other_scene(shades: Sequence[Any], flows: Sequence[FloatArray]) -> Unfit | 
         which = f"between images {index + 1} and {index + 2} of the {len(shades)} looked at"
         for turned in (np.ascontiguousarray(np.flip(after, axis)) for axis in (1, 0)):
             if _share_found(before, turned, dense_flow(before, turned).flow_px, 0.5) > CUT:
-                return Unfit("mirrored", f"the picture is mirrored {which}")
-        return Unfit("scene-cut", f"the scene changes {which}")
+                return ImageFault("mirrored", f"the picture is mirrored {which}")
+        return ImageFault("scene-cut", f"the scene changes {which}")
     return None
 
 
@@ -360,7 +360,7 @@ def _spread(still: BoolArray, rim: BoolArray) -> float:
     return 0.0 if alone else float(np.mean(still[rim]))
 
 
-def _unfit(motion: _Motion, background: BoolArray, scale: float) -> list[Unfit]:
+def _unfit(motion: _Motion, background: BoolArray, scale: float) -> list[ImageFault]:
     """What the motion of the background (h, w) says of the camera."""
     found = []
     height, width = motion.known.shape[1:]
@@ -369,12 +369,12 @@ def _unfit(motion: _Motion, background: BoolArray, scale: float) -> list[Unfit]:
     most = int(np.abs(zooms).argmax())
     if abs(zooms[most]) > ZOOMS:
         found.append(
-            Unfit("zoom", f"the picture grows by {zooms[most]:+.1%}: the focus or the camera's distance changes")
+            ImageFault("zoom", f"the picture grows by {zooms[most]:+.1%}: the focus or the camera's distance changes")
         )
     middle = np.array([width / 2, height / 2])
     shifts = np.linalg.norm(motion.fits[:, :, :2] @ middle + motion.fits[:, :, 2] - middle, axis=1)
     if shifts.max() > MOVES * max(height, width):
-        found.append(Unfit("camera-moves", f"the background moves by {shifts.max() / scale:.0f} px", lowers=False))
+        found.append(ImageFault("camera-moves", f"the background moves by {shifts.max() / scale:.0f} px", lowers=False))
     chosen = motion.known[-1] & background & (motion.away[-1] < 10 * motion.limit)
     if np.count_nonzero(chosen) < FEWEST:
         return found
@@ -387,10 +387,12 @@ def _unfit(motion: _Motion, background: BoolArray, scale: float) -> list[Unfit]:
     )
     if alike > BENDS_PX and flat < 0.5 * alike:
         text = f"the camera turns out of the picture's plane: {alike / scale:.1f} px beyond shift, turn and zoom"
-        found.append(Unfit("out-of-plane", text))
+        found.append(ImageFault("out-of-plane", text))
     elif flat > BENDS_PX:
         found.append(
-            Unfit("warped", f"the background bends by {flat / scale:.1f} px: image stabilisation, or a rolling shutter")
+            ImageFault(
+                "warped", f"the background bends by {flat / scale:.1f} px: image stabilisation, or a rolling shutter"
+            )
         )
     return found
 
