@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from deformscope.library import explore as explore
     from deformscope.library import export as export
     from deformscope.library import import_recording as import_recording
+    from deformscope.library import indent as indent
     from deformscope.library import load_classifier as load_classifier
     from deformscope.library import open_dataset as open_dataset
     from deformscope.library import open_recording as open_recording
@@ -51,6 +52,7 @@ if TYPE_CHECKING:
     from deformscope.runs.exploration_run import OwnScene as OwnScene
     from deformscope.runs.exploration_run import TouchPlanner as TouchPlanner
     from deformscope.runs.exporting import ExportResult as ExportResult
+    from deformscope.runs.indentation import IndentResult as IndentResult
     from deformscope.runs.joint_calibration import JointResult as JointResult
     from deformscope.runs.materials import MaterialResult as MaterialResult
     from deformscope.runs.prediction import PredictionResult as PredictionResult
@@ -72,11 +74,12 @@ _NAMES = {
     "runs.exploration_run": "OwnScene TouchPlanner",
     "library": "calibrate_axes calibrate_beta calibrate_both calibrate_field calibrate_theta "
     "calibrate_viscous calibrate_yield catalog classify compare_recordings discard explore "
-    "export import_recording load_classifier open_dataset open_recording predict record "
+    "export import_recording indent load_classifier open_dataset open_recording predict record "
     "recover replay report squeeze sweep verify",
     "runs.calibration_result": "CalibrationResult",
     "runs.datasets": "OpenDataset",
     "runs.exploration_result": "ExplorationResult",
+    "runs.indentation": "IndentResult",
     "runs.prediction": "PredictionResult",
     "runs.recordings": "OpenRecording RecordResult",
     "runs.replay_result": "ReplayResult",

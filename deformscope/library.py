@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from deformscope.runs.exploration_result import ExplorationResult
     from deformscope.runs.exploration_run import OwnScene, TouchPlanner
     from deformscope.runs.exporting import ExportResult
+    from deformscope.runs.indentation import CurveArrays, IndentResult
     from deformscope.runs.joint_calibration import JointResult
     from deformscope.runs.materials import MaterialResult
     from deformscope.runs.prediction import ModelSource, PredictionResult
@@ -216,6 +217,26 @@ def _floats(name: str, given: Sequence[float] | str, between: str) -> tuple[floa
         return tuple(float(one) for one in (given.split(between) if isinstance(given, str) else given))
     except (TypeError, ValueError):
         raise InputError(f"{name} as numbers, or as text with {between!r} between them", repr(given)) from None
+
+
+def indent(
+    sources: str | Path | CurveArrays | Sequence[str | Path] | Sequence[CurveArrays], *, tip: str, **options: object
+) -> IndentResult:
+    """Find Young's modulus from force over depth of a rigid tip alone; several sources are places of one sample.
+
+    sources: tables, recordings, or curves as arrays {"depth_m": (n,), "force_n": (n,), "time_s": (n,)}
+    tip: "sphere:DIAMETER", "disc:DIAMETER" or "flat:AxB" [m], "cone:HALF_ANGLE" [deg]
+    options: the flags of `deformscope indent` by their names (`deformscope.config.IndentConfig`): thickness_m, bonded,
+    sliding, poisson, machine_n_per_mm, force_column... Raises InputError for what cannot be used, and TypeError for
+    options that it has not."""
+    from deformscope.config import IndentConfig
+    from deformscope.runs.indentation import indent as fitted
+
+    several: list[Any] = [sources] if isinstance(sources, str | Path | Mapping) else list(sources)
+    arrays = [one for one in several if isinstance(one, Mapping)]
+    names = [f"curve {number}" for number in range(1, len(arrays) + 1)] or [str(one) for one in several]
+    with _python_names():
+        return fitted(_options(IndentConfig, options, sources=names, tip=tip), arrays)
 
 
 def explore(

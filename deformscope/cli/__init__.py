@@ -62,6 +62,7 @@ COMMANDS: dict[str, Command] = {
     "calibrate viscous": _command(
         "relaxing share, relaxation time and permanent share, from a push and its release", "ViscousConfig", "materials"
     ),
+    "indent": _command("find Young's modulus from force over depth", "IndentConfig", "indent"),
     "predict": _command("predict pokes that were not fitted", "PredictConfig", "predict"),
     "squeeze": _command("squeeze a container: one trial, or the name of its content", "SqueezeConfig", "squeeze"),
     "classify": _command("evaluate classifiers of contents from squeezes", "ClassifyConfig", "classify"),

@@ -26,6 +26,7 @@ from deformscope.config.executor import CatalogConfig, CompareConfig, SweepConfi
 from deformscope.config.explore import ExploreConfig
 from deformscope.config.flags import PokeText, parse_poke, parse_pokes
 from deformscope.config.images import FlowConfig, ImageOptions
+from deformscope.config.indent import IndentConfig
 from deformscope.config.options import CommandOptions, OutputOptions, RecordedOptions
 from deformscope.config.rigs import (
     ArmConfig,

@@ -31,6 +31,7 @@ BLOCK_BYTES = 1 << 22
 """How much is read at once."""
 MISSING = {"", "nan", "-nan", "na", "n/a", "#n/a", "#na", "null"}
 UNIT_WORDS = {"N", "mN", "kN", "gf", "kgf", "lbf", "g", "kg", "Nm", "N·m", "N*m", "N m", "mNm", "mN m", "Nmm", "N mm"}
+UNIT_WORDS |= {"uN", "nN", "nm"}
 UNIT_WORDS |= {"m", "cm", "mm", "um", "µm", "s", "ms", "us", "µs", "ns", "sec", "m/s", "mm/s", "Hz"}
 UNIT_WORDS |= {"deg", "°", "rad", "rad/s", "deg/s", "°/s", "Pa", "kPa", "hPa", "MPa", "bar"}
 UNIT_WORDS |= {"V", "mV", "A", "mA", "°C", "C", "deg C", "K", "%", "-", "counts"}

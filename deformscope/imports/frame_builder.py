@@ -70,9 +70,10 @@ STANDARD: dict[str, tuple[Kind, dict[str, tuple[str, str]]]] = {
 SI = {
     name: (of, factor)
     for of, names in {
-        "N": {"N": 1.0, "mN": 1e-3, "kN": 1e3, "gf": 9.80665e-3, "kgf": 9.80665, "lbf": 4.4482216152605},
+        "N": {"N": 1.0, "mN": 1e-3, "kN": 1e3, "gf": 9.80665e-3, "kgf": 9.80665, "lbf": 4.4482216152605}
+        | {"uN": 1e-6, "nN": 1e-9},
         "N m": {"N m": 1.0, "Nm": 1.0, "mN m": 1e-3, "N mm": 1e-3},
-        "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6},
+        "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9},
         "rad": {"rad": 1.0, "deg": math.pi / 180},
         "rad/s": {"rad/s": 1.0, "deg/s": math.pi / 180},
         "Pa": {"Pa": 1.0, "kPa": 1e3, "hPa": 1e2, "MPa": 1e6, "DSA count": SCHUNK_PA_PER_COUNT},

@@ -126,6 +126,7 @@ def test_an_existing_recording_is_not_written_over(name: str, tmp_path: Path, ca
     kept.write_bytes(b"kept")
     needed = {
         "flow": ["a.png", "b.png", "--out", "f.npz"],
+        "indent": ["x.csv", "--tip", "sphere:0.02"],
         "predict": ["m.npz", "--poke", "at=0,0 depth=0.001"],
         "squeeze": ["lab:containers", "--content", "rice"],
     }

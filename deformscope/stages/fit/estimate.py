@@ -53,6 +53,8 @@ DoubtCode = Literal[
     "smooth-error",
     "body-unsure",
     "unfit-images",
+    "force-drift",
+    "adhesion",
 ]
 
 

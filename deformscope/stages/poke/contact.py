@@ -6,6 +6,7 @@ under the force is subtracted, as calibrated on a rigid block."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, cast
 
@@ -16,10 +17,13 @@ from deformscope.arrays import BoolArray, FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.regions.touch_error import LAW_SD
 
-TipKind = Literal["sphere", "disc", "flat"]
+TipKind = Literal["sphere", "disc", "flat", "cone"]
 
-EXPONENT: dict[TipKind, float] = {"sphere": 1.5, "disc": 1.0, "flat": 1.0}
+EXPONENT: dict[TipKind, float] = {"sphere": 1.5, "disc": 1.0, "flat": 1.0, "cone": 2.0}
 """Hertz (1882) and Sneddon (1965), of a half-space."""
+
+DentLaw = Callable[[FloatArray, float, float], FloatArray]
+"""Dents (n,) at shares (n,) of the set force, of the dent at that force and the exponent p."""
 
 EXPONENT_SD = 0.08
 """Layers, large strain and foams that are not linear move the exponent by about this."""
@@ -65,9 +69,9 @@ class ContactFit:
     deviation. `log_sd` combines `own_log_sd`, the error of this touch alone, with errors that all touches of a session
     share: `arm_log_sd`, for one deviation of the arm's compliance, and the gain of the force
     at_force_n: the set force; if the approach ended before it, the law is extrapolated, so that all touches compare;
-    depth_m: depth of the dent at `at_force_n`; contact_m: where contact began, on the axis of the approach, which grows
-    into the surface; exponent, exponent_sd: p, and exponent_related: covariance of the errors of p and log_stiffness;
-    peak_force_n: along the normal, tare taken off
+    depth_m: depth of the dent at `at_force_n`; contact_m, contact_sd_m: where contact began, on the axis of the
+    approach, which grows into the surface; exponent, exponent_sd: p, and exponent_related: covariance of the errors of
+    p and log_stiffness; peak_force_n: along the normal, tare taken off
     residual_m: scatter of the arm's position about the law; arm_sd_m: uncertainty of the depth due to the arm
     samples: number of samples that were fitted; peak_rate_n_per_s, peak_rate_interval_n_per_s: as in `peak_rate`"""
 
@@ -82,6 +86,7 @@ class ContactFit:
     depth_m: float
     depth_sd_m: float
     contact_m: float
+    contact_sd_m: float
     exponent: float
     exponent_sd: float
     exponent_related: float
@@ -97,6 +102,11 @@ class ContactFit:
         return float(self.depth_m * (force_n / self.at_force_n) ** (1.0 / self.exponent))
 
 
+def power_law(share: FloatArray, depth: float, exponent: float) -> FloatArray:
+    """F = k d^p, as a `DentLaw`: the law of a half-space."""
+    return depth * share ** (1.0 / max(exponent, 0.2))
+
+
 def fit_approach(
     time_s: FloatArray,
     position_m: FloatArray,
@@ -110,6 +120,7 @@ def fit_approach(
     exponent_sd: float = EXPONENT_SD,
     least_share: float = LOADED,
     gain_sd: float = 0.0,
+    dents: DentLaw = power_law,
 ) -> ContactFit:
     """Fit the law to an approach, from before contact to the peak of the force; later samples are left out.
 
@@ -120,7 +131,7 @@ def fit_approach(
     arm: how the arm yields, from `calibrate_compliance`; default a stiff arm that scatters by 0.1 mm
     force_sd_n: noise of the force, default as it scatters before contact
     exponent_sd: deviation of the prior of p; least_share: share of the set force, from which samples are fitted
-    gain_sd: deviation of log stiffness, for the sake of the force sensor's gain
+    gain_sd: deviation of log stiffness, for the sake of the force sensor's gain; dents: the law, as `TipLaw.dents`
 
     The position is fitted as a function of the force, because the arm's scatter dominates: z = z0 + d (F / F0)^(1/p) +
     c F, least squares with a soft loss and a Gaussian prior on p."""
@@ -143,7 +154,7 @@ def fit_approach(
 
     def residuals(parameters: FloatArray) -> FloatArray:
         z0, depth, p = parameters
-        law = z0 + depth * share ** (1.0 / max(p, 0.2))
+        law = z0 + dents(share, depth, p)
         return cast(FloatArray, np.append((z - law) / sample_sd, (p - prior) / exponent_sd))
 
     found = scipy.optimize.least_squares(
@@ -185,6 +196,7 @@ def fit_approach(
         depth_m=depth,
         depth_sd_m=depth_sd,
         contact_m=z0,
+        contact_sd_m=float(np.sqrt(cov[0, 0])),
         exponent=p,
         exponent_sd=float(np.sqrt(cov[2, 2])),
         exponent_related=-float(cov[1, 2]) / depth,

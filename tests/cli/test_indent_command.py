@@ -1,0 +1,159 @@
+"""`deformscope indent` as a user runs it: tables of several programs, recordings, maps, and what it refuses."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import deformscope as ds
+from deformscope.arrays import FloatArray
+from deformscope.cli import main
+from tests.cases import Capture
+
+ROOT = Path(__file__).parents[2]
+YOUNG = 20e3
+SPHERE = ["--tip", "sphere:0.02", "--poisson", "0.3"]
+
+
+def curve(seed: int = 0, young: float = YOUNG) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Time, depth and force: a ball of 2 cm on a half-space, down and up."""
+    way = np.linspace(-0.001, 0.002, 400)
+    z = np.append(way, way[::-1])
+    force = 4 / 3 * young / 0.91 * 0.1 * np.maximum(z, 0.0) ** 1.5
+    force += 0.0005 * np.random.default_rng(seed).standard_normal(len(z))
+    return 0.01 * np.arange(len(z)), z + 0.003, force
+
+
+def write(path: Path, header: str, *columns: FloatArray) -> Path:
+    np.savetxt(path, np.column_stack(columns), delimiter=",", header=header, comments="")
+    return path
+
+
+def found(args: list[str], capsys: Capture) -> dict:  # type: ignore[type-arg]
+    assert main(["indent", *args, "--viewer", "none", "--json", "-"]) == 0
+    return json.loads(capsys.readouterr().out)  # type: ignore[no-any-return]
+
+
+def test_a_test_machines_text_is_read_as_it_is(tmp_path: Path, capsys: Capture) -> None:
+    time, z, force = curve()
+    rows = [f"{a:.2f};{1e3 * b:.5f};{c:.5f}".replace(".", ",") for a, b, c in zip(time, z, force, strict=True)]
+    head = "Prüfprotokoll;\nProbe 1;\n\nPrüfzeit;Standardweg;Standardkraft\ns;mm;N\n"
+    path = tmp_path / "test.txt"
+    path.write_text(head + "\n".join(rows) + "\n", encoding="latin-1")
+    outputs = {one: tmp_path / f"out.{one}" for one in ("png", "html", "rrd")}
+    flags = ["--picture", str(outputs["png"]), "--report", str(outputs["html"]), "--record", str(outputs["rrd"])]
+    result = found([str(path), *SPHERE, *flags], capsys)["curves"][0]
+    assert result["modulus_pa"] == pytest.approx(YOUNG, rel=0.02)
+    assert result["modulus_interval_pa"][0] < YOUNG < result["modulus_interval_pa"][1]
+    assert result["contact_m"] == pytest.approx(0.003, abs=2e-5)
+    assert result["rate_n_per_s"] > 0.0
+    assert all(one.stat().st_size > 1000 for one in outputs.values())
+    assert "Young&#x27;s modulus" in outputs["html"].read_text(encoding="utf-8")
+    assert main(["verify", str(outputs["rrd"])]) == 0
+
+
+@pytest.mark.parametrize(
+    ("header", "factors", "flags"),
+    [
+        ("Time (s),Extension (mm),Load (N)", (1.0, 1e3, 1.0), []),
+        ("t [ms],piezo height [nm],force [nN]", (1e3, 1e9, 1e9), []),
+        ("t,depth,force", (1.0, 1e3, 1.0), ["--force-column", "force=N", "--depth-column", "depth=mm"]),
+        ("z [mm],Fz [N],Fx [N]", (1.0, 1e3, -1.0), ["--force-column=-Fz [N]"]),
+    ],
+)
+def test_columns_are_found_by_units_and_names_or_said(
+    header: str, factors: tuple[float, ...], flags: list[str], tmp_path: Path, capsys: Capture
+) -> None:
+    time, z, force = curve()
+    columns = [factors[0] * time, factors[1] * z, factors[2] * force]
+    if header.startswith("z"):
+        columns = [columns[1], columns[2], time]
+    path = write(tmp_path / "curve.csv", header, *columns)
+    assert found([str(path), *SPHERE, *flags], capsys)["curves"][0]["modulus_pa"] == pytest.approx(YOUNG, rel=0.02)
+
+
+def test_several_sources_are_places_of_one_sample(tmp_path: Path, capsys: Capture) -> None:
+    paths = []
+    for number, factor in enumerate((1.0, 1.1, 0.9)):
+        columns = curve(number, factor * YOUNG)
+        paths.append(str(write(tmp_path / f"place-{number}.csv", "time [s],depth [m],force [N]", *columns)))
+    result = found([*paths, *SPHERE], capsys)
+    assert [one["name"] for one in result["curves"]] == ["place-0.csv", "place-1.csv", "place-2.csv"]
+    together = result["together"]
+    assert together["modulus_pa"] == pytest.approx(YOUNG, rel=0.04)
+    assert together["scatter"] == pytest.approx(0.1, abs=0.03)
+    assert together["own_sd"] < 0.02
+
+
+def test_touches_of_an_exploration_have_moduli(capsys: Capture) -> None:
+    recording = str(ROOT / "recordings" / "explore.rrd")
+    result = found([recording, "--tip", "sphere:0.02", "--thickness-m", "0.05", "--bonded", "--poisson", "0.3"], capsys)
+    touches = [one for one in ds.open_recording(recording).results() if type(one).__name__ == "TouchEstimate"]
+    assert len(result["curves"]) == len(touches) > 1
+    for one, touch in zip(result["curves"], touches, strict=True):
+        assert touch.modulus_pa is not None  # type: ignore[attr-defined]
+        assert one["modulus_pa"] == pytest.approx(touch.modulus_pa, rel=0.35)  # type: ignore[attr-defined]
+
+
+def test_a_map_gives_the_force_and_the_pose_of_others(tmp_path: Path, capsys: Capture) -> None:
+    time, z, force = curve()
+    twice = [np.append(time, time + 9.0), np.append(z, z), np.append(force, force)]
+    way = np.column_stack([0.4 + 0.6 * twice[1], 0.1 + 0 * twice[1], 0.3 - 0.8 * twice[1]])
+    columns = twice[0], -0.6 * twice[2], 0 * twice[2], 0.8 * twice[2]
+    write(tmp_path / "log.csv", "t,Fx,Fy,Fz,x,y,z,rx,ry,rz", *columns, *way.T, *np.zeros_like(way).T)
+    streams = (
+        '[[streams]]\ndevice = "tip"\nkind = "wrench"\ntopics = ["log.csv"]\ntime = "t"\ntime_unit = "s"\n'
+        'columns = {"force_x_n" = "Fx", "force_y_n" = "Fy", "force_z_n" = "Fz"}\n'
+        'units = {"Fx" = "N", "Fy" = "N", "Fz" = "N"}\n'
+        '[[streams]]\ndevice = "arm"\nkind = "arm"\ntopics = ["log.csv"]\ntime = "t"\ntime_unit = "s"\n'
+        'columns = {"position_x_m" = "x", "position_y_m" = "y", "position_z_m" = "z",'
+        ' "rotation_x_rad" = "rx", "rotation_y_rad" = "ry", "rotation_z_rad" = "rz"}\nrotation = "vector"\n'
+        'units = {"x" = "m", "y" = "m", "z" = "m", "rx" = "rad", "ry" = "rad", "rz" = "rad"}\n'
+    )
+    (tmp_path / "map.toml").write_text(streams)
+    result = found([str(tmp_path / "log.csv"), *SPHERE, "--map", str(tmp_path / "map.toml")], capsys)
+    assert [one["name"] for one in result["curves"]] == ["log.csv, touch 1", "log.csv, touch 2"]
+    for one in result["curves"]:
+        assert one["modulus_pa"] == pytest.approx(YOUNG, rel=0.03)
+
+
+def test_a_script_has_the_same_from_arrays() -> None:
+    time, z, force = curve()
+    result = ds.indent({"depth_m": z, "force_n": force, "time_s": time}, tip="sphere:0.02", poisson="0.3")
+    assert result.modulus_pa == pytest.approx(YOUNG, rel=0.02)
+    assert result.interval_pa == result.curves[0].modulus_interval_pa
+    assert "Young's modulus" in str(result)
+    assert result._repr_html_().count("<img") == 1
+    pair = [{"depth_m": z, "force_n": force}] * 2
+    assert ds.indent(pair, tip="sphere:0.02").together is not None
+    with pytest.raises(ds.InputError, match="expected depth_m, force_n"):
+        ds.indent({"depth_m": z}, tip="sphere:0.02")
+
+
+@pytest.mark.parametrize(
+    ("header", "flags", "words"),
+    [
+        ("t,depth,force", [], "expected the unit of column force: N, mN"),
+        ("time [s],depth [m],force [N]", ["--depth-column", "depth [m]=s"], "expected the unit of column depth [m]: m"),
+        ("time [s],depth [m],force [N]", ["--force-column", "load"], "expected --force-column out of time [s]"),
+        ("Fx [N],depth [m],Fz [N]", [], "expected one column of force; got Fx [N], Fz [N]"),
+        ("time [s],depth [m],force [N]", ["--thickness-m", "0.01"], "--thickness-m with --bonded or --sliding"),
+        ("time [s],depth [m],force [N]", ["--width-m", "0.012"], "expected sides far from the contact"),
+    ],
+)
+def test_what_is_missing_is_asked_for_in_one_line(
+    header: str, flags: list[str], words: str, tmp_path: Path, capsys: Capture
+) -> None:
+    path = write(tmp_path / "curve.csv", header, *curve())
+    assert main(["indent", str(path), *SPHERE, *flags]) == 2
+    said = capsys.readouterr().err
+    assert words in said
+    assert len(said.splitlines()) <= 5
+
+
+@pytest.mark.parametrize("tip", ["sphere", "sphere:20", "flat:0.01", "cone:95", "wedge:0.1", "sphere:-1"])
+def test_a_tip_that_is_none_is_refused(tip: str, tmp_path: Path, capsys: Capture) -> None:
+    path = write(tmp_path / "curve.csv", "time [s],depth [m],force [N]", *curve())
+    assert main(["indent", str(path), "--tip", tip]) == 2
+    assert "sphere:0.02, disc:0.01, flat:0.02x0.01 or cone:70" in capsys.readouterr().err
