@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 from deformscope.cli.common import EXIT_LOSSES, at_terminal, fit_progress, say, show, write_file, write_json
 from deformscope.config import BetaConfig, ThetaConfig
-from deformscope.files.model_file import save_model
 from deformscope.page.fit_settings import asked_on_page
-from deformscope.pictures.evidence import Result, results_png
-from deformscope.runs.calibration import calibrate
-from deformscope.runs.calibration_report import calibration_page
-from deformscope.runs.calibration_result import CalibrationResult
-from deformscope.stages.fit.estimate import Estimate
+
+if TYPE_CHECKING:  # loaded once a page is there
+    from deformscope.pictures.evidence import Result
+    from deformscope.runs.calibration_result import CalibrationResult
+    from deformscope.stages.fit.estimate import Estimate
 
 
 def run(config: BetaConfig | ThetaConfig) -> int:
@@ -26,6 +26,9 @@ def run(config: BetaConfig | ThetaConfig) -> int:
 
 
 def _fit(config: BetaConfig | ThetaConfig, show_on_page: Callable[[Estimate, Result], None] | None = None) -> int:
+    from deformscope.files.model_file import save_model
+    from deformscope.runs.calibration import calibrate
+
     with fit_progress() as progress:
         found = calibrate(config, note=say, progress=progress)
     if show_on_page is not None:
@@ -47,6 +50,9 @@ def _fit(config: BetaConfig | ThetaConfig, show_on_page: Callable[[Estimate, Res
 
 def write_summaries(config: BetaConfig | ThetaConfig, found: Sequence[CalibrationResult]) -> None:
     """Write the requested picture and report."""
+    from deformscope.pictures.evidence import results_png
+    from deformscope.runs.calibration_report import calibration_page
+
     files, shown = config.summary, [one.shown for one in found]
     if files.picture is not None:
         write_file(files.picture, results_png(shown))

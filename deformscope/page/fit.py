@@ -16,13 +16,13 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from deformscope.arrays import FloatArray
+from deformscope.arrays import FloatArray, IntArray
 from deformscope.config import BetaConfig, ThetaConfig
 from deformscope.config.options import command_line
 from deformscope.errors import InputError
 from deformscope.experiments.fit.calibration_inputs import fit_options, images_of
-from deformscope.page.fit_settings import IN_PICTURE, images_with
-from deformscope.page.fit_source import FitSubject, subject_of
+from deformscope.page.fit_settings import COMMANDS, IN_PICTURE, images_with, settings_of
+from deformscope.page.fit_source import FitSubject, ImagesSubject, subject_of
 from deformscope.page.server.fit_messages import FitResult, FitSettings, FitState, Points
 from deformscope.page.server.messages import PageCommand, RunFit, SetFit, StopRun
 from deformscope.pictures.evidence import Result, results_png
@@ -32,13 +32,15 @@ from deformscope.stages.fit.estimate import Comparison, Estimate
 from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.msm.quiet import quiet_warp
 from deformscope.stages.msm.solver import Msm
+from deformscope.stages.see.particles import ParticleGrid
 
 VALUES, COARSELY = 25, 5
 """Values of the error curve: one after the other while nothing changes, every fifth of them first."""
 QUIET_S = 0.3
 """Time without a change after which it begins."""
 BUSY_EVERY_S = 0.2
-COMMANDS = ("stop", "set-fit", "run-fit", "fit-drawn")
+SHOWN_EVERY_S = 0.5
+"""Shortest period at which newly followed frames are simulated and shown."""
 
 
 class _SetAnew(Exception):
@@ -54,22 +56,22 @@ class PageFit:
     def __init__(self, config: BetaConfig | ThetaConfig, subject: FitSubject, send: Callable[..., None]) -> None:
         self._subject, self._send = subject, send
         self._base, self._images = config, images_of(config)
-        self._began = _settings_of(config)
+        self._began = settings_of(config, self._images)
         self._seen: tuple[object, Observation, dict[str, object]] | None = None
+        self._sent: set[str] = set()
+        self._newest = SetFit(0, 0, self._began)
+        self._each_s = self._shown_s = 0.0
         self._body: tuple[Model, Observation, Msm] | None = None
         self._curve: list[float] = []
         self._found: BetaConfig | ThetaConfig | None = None
         self._news = threading.Condition()
-        self._asked: SetFit | None = SetFit(0, 0, self._began)
+        self._asked: SetFit | None = self._newest
         self._wants_fit = self._finished = False
         self._busy_s = 0.0
         self.config = config
         model = fit_options(config)
         self.state = FitState(subject.kind, model.model.parameter, self._began, model.bounds, subject.size_px)
-        pictures = tuple(zip(("rest.jpg", "deformed.jpg"), subject.images, strict=False))
-        for name, content in pictures:
-            send("file", name, content, "image/jpeg")
-        self._show(pictures=tuple(name for name, _ in pictures))
+        self._show()
 
     def handle(self, command: PageCommand) -> None:
         """Have `run` carry out a request."""
@@ -88,17 +90,22 @@ class PageFit:
         settings."""
         while True:
             with self._news:
-                if not self._curve:
+                if self._subject.goes_on:
+                    pass
+                elif not self._curve:
                     self._news.wait_for(self._is_wanted)
                 elif not self.state.values:
                     self._news.wait_for(self._is_wanted, QUIET_S)
                 asked, fit, finished = self._asked, self._wants_fit, self._finished
                 self._asked = None
-                self._wants_fit = fit and asked is not None  # first what it is to be made of
+                # first what it is to be made of
+                self._wants_fit = fit and (asked is not None or self._subject.goes_on)
             if asked is not None:
                 self._set(asked)
             elif finished:
                 return
+            elif isinstance(self._subject, ImagesSubject) and self._subject.goes_on:
+                self._follow(self._subject)
             elif fit:
                 self._fit()
             elif self._curve:
@@ -116,9 +123,14 @@ class PageFit:
 
     def _set(self, asked: SetFit) -> None:
         """Simulate the requested settings, and show the result."""
-        self._curve = []
+        self._curve, self._newest = [], asked
         try:
             self.config = config = self._config_of(asked.settings)
+            if isinstance(self._subject, ImagesSubject):
+                grid, held = self._subject.place(config)
+                if self._subject.followed < 2:
+                    self._show_at_rest(asked, grid, held)
+                    return
             seen, body, model = self._prepared(config)
             value = float(asked.settings.beta if model.parameter == "beta" else asked.settings.theta)
             found = simulate(seen, model, np.array([value]), body)[0]
@@ -141,10 +153,68 @@ class PageFit:
             command=self.command,
             aee=error.aee,
             aee_free=error.aee_free,
-            busy="",
+            busy=self._progress(),
             found=self.state.found if same else None,
             picture=self.state.picture if same else "",
         )
+
+    def _show_at_rest(self, asked: SetFit, grid: ParticleGrid, held: IntArray) -> None:
+        """The particles in the first frame, before any was followed."""
+        rest = tuple((round(x, 2), round(y, 2)) for x, y in grid.rest_px.tolist())
+        self._show(
+            grid=grid.shape,
+            spacing_px=float(grid.spacing_px[0]),
+            rest=rest,
+            observed=rest,
+            simulated=(),
+            seen=(True,) * len(rest),
+            held=tuple(held.tolist()),
+            unit="px",
+            problem="",
+            values=(),
+            errors=(),
+            settings=asked.settings,
+            number=asked.number,
+            command=self.command,
+            aee=None,
+            aee_free=None,
+            busy=self._progress(),
+            found=None,
+            picture="",
+        )
+
+    def _follow(self, subject: ImagesSubject) -> None:
+        """One more frame; what was asked for is shown in it, unless this was done a moment ago."""
+        began_s = time.monotonic()
+        try:
+            subject.follow()
+        except Exception as problem:
+            self._show(problem=format_error(problem), busy="")
+            return
+        now_s = time.monotonic()
+        self._each_s = 0.7 * (self._each_s or now_s - began_s) + 0.3 * (now_s - began_s)
+        if not subject.goes_on or now_s - self._shown_s > SHOWN_EVERY_S:
+            self._set(self._newest)
+            self._shown_s = time.monotonic()
+
+    def _progress(self) -> str:
+        """How far the particles were followed, in words; empty once they were to the last frame."""
+        done, count = self._subject.followed, self._subject.count
+        if not self._subject.goes_on:
+            return ""
+        left = f", some {max(1.0, (count - done) * self._each_s):.0f} s left" if self._each_s else ""
+        return f"frame {done} of {count}{left}"
+
+    def _pictures(self) -> tuple[str, ...]:
+        """Names of the images at rest and deformed, which pages may request by now."""
+        if not isinstance(self._subject, ImagesSubject):
+            return ()
+        frames = {"rest.jpg": 0, f"frame{max(self._subject.followed, 1)}.jpg": max(self._subject.followed - 1, 0)}
+        for name, frame in frames.items():
+            if name not in self._sent:
+                self._send("file", name, self._subject.picture(frame), "image/jpeg")
+                self._sent.add(name)
+        return tuple(frames)
 
     def _drawn(self, seen: Observation, found: Comparison) -> dict[str, Any]:
         """Particles as a page draws them."""
@@ -206,7 +276,7 @@ class PageFit:
 
     def _prepared(self, config: BetaConfig | ThetaConfig) -> tuple[Observation, Msm, Model]:
         """The observed positions, in the model; both are reused until their settings change."""
-        key = config.images, config.search.noise_px
+        key = config.images, config.search.noise_px, self._subject.followed
         if self._seen is None or self._seen[0] != key:
             seen, used = self._subject.observe(config)
             self._seen = key, seen, dict(used)
@@ -231,7 +301,7 @@ class PageFit:
         return dataclasses.replace(config, beta=asked.beta, at=asked.theta)
 
     def _show(self, **changes: Any) -> None:
-        self.state = msgspec.structs.replace(self.state, **changes)
+        self.state = msgspec.structs.replace(self.state, pictures=self._pictures(), **changes)
         self._send("fit", self.state, COMMANDS)
 
 
@@ -245,25 +315,6 @@ def found_of(estimate: Estimate, command: str) -> FitResult:
     low, high = estimate.interval
     words = estimate.verdict_text()
     return FitResult(command, estimate.value, low, high, estimate.level, estimate.aee_free, words)
-
-
-def _settings_of(config: BetaConfig | ThetaConfig) -> FitSettings:
-    """First settings of a page."""
-    images = images_of(config)
-    corners = images.outline or ()
-    beta = config.beta if isinstance(config, ThetaConfig) else 0.5 if config.at is None else config.at
-    theta = config.fitted_theta if isinstance(config, BetaConfig) else 0.5 if config.at is None else config.at
-    return FitSettings(
-        roi=images.roi,
-        grid=images.grid,
-        spacing_px=images.spacing_px,
-        outline=tuple(zip(corners[::2], corners[1::2], strict=True)),
-        held=images.held_parts(),
-        contact=images.contact,
-        cluster_size=config.fitted_cluster_size if isinstance(config, BetaConfig) else config.cluster_size,
-        beta=beta,
-        theta=theta,
-    )
 
 
 # Its process ---------------------------------------------------------------------------------------------------------

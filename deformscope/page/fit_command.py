@@ -5,19 +5,23 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
 
 from deformscope.config import BetaConfig, ThetaConfig
 from deformscope.errors import InputError
-from deformscope.page.fit import found_of
+from deformscope.file_io import SAMPLE_SCHEME, ending_of
+from deformscope.files.sources import RECORDING_SUFFIX, open_source
 from deformscope.page.fit_process import FitProcess
-from deformscope.page.fit_settings import not_on_a_page
+from deformscope.page.fit_settings import COMMANDS, not_on_a_page, picture_of, settings_of
 from deformscope.page.server.fit_messages import FitSettings, FitState
 from deformscope.page.server.page_server import PageServer
-from deformscope.pictures.evidence import Result, results_png
-from deformscope.stages.fit.estimate import Estimate
+
+if TYPE_CHECKING:  # loaded once the page is there
+    from deformscope.pictures.evidence import Result
+    from deformscope.stages.fit.estimate import Estimate
 
 
 @contextmanager
@@ -38,6 +42,9 @@ def set_on_page(
         page.session.enter("adjusting", commands=(), reason="the whole fit uses these settings")
 
         def show(estimate: Estimate, shown: Result) -> None:
+            from deformscope.page.fit import found_of
+            from deformscope.pictures.evidence import results_png
+
             page.offer("fit.png", results_png([shown]), "image/png")
             found = found_of(estimate, last.command)
             page.session.show(fit=msgspec.structs.replace(last, found=found, picture="fit.png", busy=""))
@@ -59,13 +66,30 @@ def _set(
         if fit.goes_on:
             page.session.enter("adjusting", commands=fit.commands, fit=fit.state)
 
-    began = FitState("images", "beta" if isinstance(config, BetaConfig) else "theta", FitSettings())
+    began = _first_frame(config, page)
     fit = FitProcess(config, began, page, changed)
     try:
         page.session.bind(fit.start())
+        if began.pictures:  # it can be drawn on until the process is there
+            page.session.enter("adjusting", commands=COMMANDS, fit=began)
         return fit.result(), fit.state
     finally:
         fit.close()
         if fit.drawn_ms:
             p50, p95 = np.percentile(fit.drawn_ms, (50, 95))
             note(f"slider to picture: p50 {p50:.0f} ms, p95 {p95:.0f} ms, {len(fit.drawn_ms)} changes")
+
+
+def _first_frame(config: BetaConfig | ThetaConfig, page: PageServer) -> FitState:
+    """The first image, before what computes is loaded; without pictures for a pair, and for a sample, whose own
+    options are loaded with it."""
+    first = str(config.sources[0])
+    began = FitState("images", "beta" if isinstance(config, BetaConfig) else "theta", FitSettings())
+    if ending_of(first) in (".npz", RECORDING_SUFFIX) or first.startswith(SAMPLE_SCHEME):
+        return began
+    images = config.images
+    with open_source(config.sources, stride=images.stride, fps=images.fps, mask=images.mask) as source:
+        image = next(iter(source)).image
+    page.offer("rest.jpg", picture_of(image), "image/jpeg")
+    size, pictures = (float(image.shape[1]), float(image.shape[0])), ("rest.jpg", "rest.jpg")
+    return msgspec.structs.replace(began, settings=settings_of(config, images), size_px=size, pictures=pictures)

@@ -2,66 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+import dataclasses
+from collections.abc import Callable, Mapping
 from typing import Literal
 
 import numpy as np
 
-from deformscope.arrays import BoolArray, FloatArray, ImageArray
-from deformscope.config import BetaConfig, ThetaConfig
+from deformscope.arrays import FloatArray, IntArray
+from deformscope.config import BetaConfig, ImageOptions, ThetaConfig
 from deformscope.errors import InputError
-from deformscope.experiments.fit.calibration_inputs import images_of, mask_of, opened_images, particle_options
-from deformscope.experiments.fit.foam_video import ParticleOptions, last_pose
+from deformscope.experiments.fit.calibration_inputs import images_of, mask_of, opened_images, particle_options, thinned
+from deformscope.experiments.fit.foam_video import last_pose
 from deformscope.file_io import ending_of, read_file
 from deformscope.files.pairs import parse_pair
-from deformscope.frames import ColorFrame
-from deformscope.images import encode_jpeg
+from deformscope.files.sources import Source
+from deformscope.page.fit_settings import picture_of
 from deformscope.stages.fit.model import Observation
 from deformscope.stages.see.flow import FlowField, FlowStep, flow_onward
+from deformscope.stages.see.follow import Follower
 from deformscope.stages.see.particles import ParticleGrid, Tracked, advance, clean_mask, seed_grid, select_held, start
 
 MOST_BYTES = 2 << 30
-"""Memory limit of the stored flow."""
-
-
-class CachedFlow:
-    """The stored optical flow of a sequence: particles of any grid follow it in milliseconds. first, last: first and
-    last image
-
-    frames: the frames in order; note: called with the number of frames taken so far.
-    Raises InputError for a single frame, and for more frames than may be held in memory."""
-
-    def __init__(self, frames: Iterable[ColorFrame], note: Callable[[int], None]) -> None:
-        self._flows: list[tuple[FlowField, FlowField]] = []
-        images: list[ImageArray] = []
-        held_bytes = 0
-        step: FlowStep | None = None
-        for done, frame in enumerate(frames, 1):
-            if images:
-                step = flow_onward(images[-1], frame.image, step)
-                forward, backward = step.forward, step.backward
-                self._flows.append((forward, FlowField(backward.flow_px)))  # all of them that `advance` looks at
-                maps = (forward.flow_px, forward.noise_px, forward.misfit, backward.flow_px)
-                held_bytes += sum(one.nbytes for one in maps if one is not None)
-                if held_bytes > MOST_BYTES:
-                    came = f"more: {done} frames so far"
-                    raise InputError(f"flow of at most {MOST_BYTES >> 30} GiB to keep", came, "a larger --stride")
-            images = [*images[:1], frame.image]
-            note(done)
-        if len(images) < 2:
-            raise InputError("at least two frames", "fewer", "a longer sequence, or a smaller --stride")
-        self.first, self.last = images
-
-    def follow(self, particles: ParticleOptions, mask: BoolArray | None) -> tuple[ParticleGrid, list[Tracked]]:
-        """Positions of the particles at rest and at every frame [px], as `foam_video.track` returns them. mask: (H, W)
-        mask of the body"""
-        grid = seed_grid(self.first.shape[:2], particles.roi_rect, particles.grid, particles.spacing_px, mask)
-        select_held(grid, particles.held, particles.contact_rect)
-        history = [start(grid)]
-        for forward, backward in self._flows:
-            history.append(advance(history[-1], forward, backward))
-        return grid, history
-
+"""Memory limit of the frames and of the stored flow."""
 
 WIDTH_PX, RIM_PX = 800.0, 40.0
 """Width and margin of the picture of a pair."""
@@ -70,27 +32,90 @@ EYE = np.array([[0.87, 0.0], [0.42, -0.3], [0.0, -1.0]])
 
 
 class ImagesSubject:
-    """Images with stored optical flow. size_px: width, height; images: rest and deformed, as JPEG"""
+    """A sequence in which particles are followed, a frame at a time. size_px: width, height of its images
+
+    count: number of frames; followed: frames through which the particles were followed so far, the one at rest
+    included; frames are taken as they are needed. In small images the particles of any grid follow a stored flow in
+    milliseconds; in large ones they are followed anew."""
 
     kind: Literal["images"] = "images"
 
-    def __init__(self, motion: CachedFlow) -> None:
-        self._motion = motion
-        height, width = motion.first.shape[:2]
+    def __init__(self, source: Source, frames_of: int | None = None) -> None:
+        self._frames, self._frames_of = iter(source), frames_of
+        self._images = [next(self._frames).image]
+        self._flows: list[tuple[FlowField, FlowField]] = []
+        self._last: FlowStep | None = None
+        self._kept_bytes = 0
+        self.count = source.count or 2
+        self.goes_on = True
+        height, width = self._images[0].shape[:2]
         self.size_px = float(width), float(height)
-        both = (motion.first, motion.last)
-        low = min(float(one.min()) for one in both)
-        high = max(float(one.max()) for one in both)
-        self.images = tuple(encode_jpeg(_eight_bits(one, low, high)) for one in both)
+        self._placed: tuple[ImageOptions, ParticleGrid, IntArray] | None = None
+        self._history: list[Tracked] = []
+
+    @property
+    def followed(self) -> int:
+        """See the class."""
+        return len(self._history)
+
+    def picture(self, frame: int) -> bytes:
+        """The image of a frame, counted from 0, as JPEG."""
+        return picture_of(self._images[frame])
+
+    def place(self, config: BetaConfig | ThetaConfig) -> tuple[ParticleGrid, IntArray]:
+        """The particles at rest with these options, and indices of the held ones. Others than before are followed from
+        the beginning. Raises InputError without particles."""
+        images, size = images_of(config), self._images[0].shape[:2]
+        if self._placed is not None and self._placed[0] == images:
+            return self._placed[1:]
+        particles = particle_options(images)
+        mask = mask_of(config.sources, images, (size[0], size[1]))
+        region = None if mask is None else clean_mask(mask)
+        grid = seed_grid(size, particles.roi_rect, particles.grid, particles.spacing_px, region)
+        held = select_held(grid, particles.held, particles.contact_rect)
+        if self._placed is None or not np.array_equal(grid.rest_px, self._placed[1].rest_px):
+            self._history, self.goes_on = [start(grid)], True
+            self._follower = Follower(grid, (size[0], size[1]))
+            for flow in self._flows:
+                self._history.append(advance(self._history[-1], *flow))
+        self._placed = images, grid, held
+        return grid, held
+
+    def follow(self) -> None:
+        """Follow the particles to the next frame, if there is one. Raises InputError for a single frame, and for more
+        than may be held in memory."""
+        done = len(self._history)
+        if done == len(self._images):
+            if (frame := next(self._frames, None)) is None:
+                self.goes_on, self.count = False, done
+                if done < 2:
+                    raise InputError("at least two frames", "fewer", "a longer sequence, or a smaller --stride")
+                return
+            self._images.append(frame.image)
+            self._kept_bytes += frame.image.nbytes
+        before, after = self._images[done - 1 : done + 1]
+        if self._follower.is_large:
+            there = self._follower.step(before, after, self._history[-1])[1]
+        else:
+            self._last = flow_onward(before, after, self._last)
+            flow = self._last.forward, FlowField(self._last.backward.flow_px)  # all of it that `advance` looks at
+            self._flows.append(flow)
+            there = advance(self._history[-1], *flow)
+            maps = (*(getattr(flow[0], name) for name in ("flow_px", "noise_px", "misfit")), flow[1].flow_px)
+            self._kept_bytes += sum(one.nbytes for one in maps)
+        self._history.append(there)
+        self.count = max(self.count, done + 1)
+        if self._kept_bytes > MOST_BYTES:
+            came = f"more: {done + 1} frames so far"
+            self.goes_on = False
+            raise InputError(f"frames and flow of at most {MOST_BYTES >> 30} GiB", came, "a larger --stride")
 
     def observe(self, config: BetaConfig | ThetaConfig) -> tuple[Observation, Mapping[str, object]]:
-        """The observation with these options, and a fit's record of it. Raises InputError without particles."""
-        images = images_of(config)
-        height, width = self._motion.first.shape[:2]
-        mask = mask_of(config.sources, images, (height, width))
-        particles = particle_options(images, config.search.noise_px)
-        grid, history = self._motion.follow(particles, None if mask is None else clean_mask(mask))
-        return last_pose(grid, history, particles)
+        """The newest pose with these options, once a frame was followed, and a fit's record of it. Raises InputError
+        without particles."""
+        grid, _ = self.place(config)
+        particles = particle_options(images_of(config), config.search.noise_px)
+        return last_pose(grid, self._history, dataclasses.replace(particles, frames_of=self._frames_of))
 
     def in_picture(self, position: FloatArray) -> FloatArray:
         """(K, d) positions of an observation as (K, 2) x, y [px]."""
@@ -101,7 +126,7 @@ class PairSubject:
     """A pair file, in the plane (y up) or in space (z up). size_px: width, height of its picture; it has no images"""
 
     kind: Literal["pair"] = "pair"
-    images: tuple[bytes, ...] = ()
+    followed, count, goes_on = 2, 2, False
 
     def __init__(self, config: BetaConfig | ThetaConfig) -> None:
         raw = read_file(config.sources[0], "a pair file (.npz)")
@@ -130,13 +155,5 @@ def subject_of(config: BetaConfig | ThetaConfig, note: Callable[[str], None]) ->
     if ending_of(config.sources[0]) == ".npz":
         return PairSubject(config)
     images = images_of(config)
-    with opened_images(config.sources, images) as source:
-        of = "" if source.count is None else f" of {source.count}"
-        return ImagesSubject(CachedFlow(source, lambda done: note(f"optical flow: frame {done}{of}")))
-
-
-def _eight_bits(image: ImageArray, low: float, high: float) -> ImageArray:
-    """The image with 8 bits, for a browser: `low` to `high` are spread over them."""
-    if image.dtype == np.uint8:
-        return image
-    return ((image.astype(np.float32) - low) * (255.0 / max(high - low, 1.0))).clip(0, 255).astype(np.uint8)
+    source = opened_images(config.sources, images).__enter__()  # read until it ends, or this process does
+    return ImagesSubject(source, thinned(source, particle_options(images), config, note).frames_of)

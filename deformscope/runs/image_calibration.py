@@ -14,7 +14,7 @@ from deformscope.config import BetaConfig, ImageOptions, OutputOptions, ThetaCon
 from deformscope.config.calibrate import PushFlags
 from deformscope.config.flags import Selectable, force_n
 from deformscope.errors import InputError
-from deformscope.experiments.fit.calibration_inputs import mask_of, opened_images, particle_options
+from deformscope.experiments.fit.calibration_inputs import mask_of, opened_images, particle_options, thinned
 from deformscope.experiments.fit.foam_video import ParticleOptions, foam_video
 from deformscope.experiments.fit.push_force import PushOptions
 from deformscope.experiments.fit.whole_motion import whole_motion
@@ -33,28 +33,8 @@ from deformscope.session import run
 from deformscope.stages.fit.calibrate import FitOptions
 from deformscope.stages.fit.search import Progress
 from deformscope.stages.materials.press_cycle import PressForce
-from deformscope.stages.see.follow import LARGE_PX
 from deformscope.stages.see.particles import clean_mask
 from deformscope_drivers.clock import Stamp
-
-FLOW_S_PER_PX = 5e-7
-"""Time of the flow both ways from a frame to the next in steady motion, on two cores [s/px]."""
-FOLLOWED_S, FEWEST_FRAMES = 7.5, 16
-"""Time limit of tracking a long sequence, and least number of its frames; jumps take up to 7 times that."""
-
-
-def _thinned(source: Source, particles: ParticleOptions, every: bool, note: Note) -> ParticleOptions:
-    """A long sequence is thinned, unless all frames are requested; the number of frames is announced."""
-    each_s, count = FLOW_S_PER_PX * min(float(np.prod(source.size)), LARGE_PX), source.count or 0
-    if count <= (most := max(FEWEST_FRAMES, round(FOLLOWED_S / each_s))):
-        return particles
-    if every:
-        note(f"{count} frames are tracked")
-        return particles
-    if (there := source.thin(most)) <= most:
-        return particles
-    note(f"{most} of {there} frames are tracked, evenly spread; --fine tracks all")
-    return dataclasses.replace(particles, frames_of=there)
 
 
 def calibrate_images(
@@ -91,13 +71,10 @@ def calibrate_images(
     settings |= {"outline": list(images.outline)} if images.outline is not None else {}
     with opened() as source:
         settings["timed"] = source.timed
-        if config.push.force_frame is not None:
-            source.end_at(config.push.force_frame)
         if log is not None and config.push.force_sensor is not None and str(sources[0]) == config.push.force:
             log = dataclasses.replace(log, time_s=log.time_s - 1e-9 * source.began_ns)
         mask = mask_of(sources, images, source.size)
-        every = config.search.fine or select is not None or images.stride != 1
-        particles = _thinned(source, particles, every, note)
+        particles = thinned(source, particles, config, note, every=select is not None)
         return run_images(source, mask, fit, particles, settings, config.output, select, progress, push, log)
 
 

@@ -26,7 +26,7 @@ from deformscope.page.fit import VALUES, PageFit
 from deformscope.page.fit_command import set_on_page
 from deformscope.page.fit_process import FitProcess
 from deformscope.page.fit_settings import asked_on_page, not_on_a_page
-from deformscope.page.fit_source import PairSubject, subject_of
+from deformscope.page.fit_source import ImagesSubject, PairSubject, subject_of
 from deformscope.page.server.fit_messages import FitSettings, FitState
 from deformscope.page.server.messages import FitDrawn, RunFit, SetFit, StopRun, WriteNote
 from deformscope.page.server.page_server import PageServer, running_pages
@@ -177,7 +177,7 @@ def test_images_are_shown_as_their_command_line_gives_them(frames: Path, capsys:
         shown = one.fitted(
             1, roi=(6.0, 5.0, 86.0, 105.0), spacing_px=11.5, outline=outline, held=("top", "border"), beta=0.8
         )
-        assert one.files["rest.jpg"] != one.files["deformed.jpg"]
+        assert one.files["rest.jpg"] != one.files["frame3.jpg"]
     assert shown.problem == ""
     assert shown.spacing_px == pytest.approx(11.5)
     assert len(shown.rest) < shown.grid[0] * shown.grid[1]  # the outline cuts a corner
@@ -185,6 +185,65 @@ def test_images_are_shown_as_their_command_line_gives_them(frames: Path, capsys:
     at = found["settings"]["at"]
     assert (at["aee"], at["aee_free"]) == (shown.aee, shown.aee_free)
     assert found["settings"]["particles"] == len(shown.rest)
+
+
+class Held(Watched):
+    """No frame is followed before `go_on` is set."""
+
+    def __init__(self, config: BetaConfig) -> None:
+        self.go_on = threading.Event()
+        super().__init__(config)
+        subject = self.fitting._subject
+        assert isinstance(subject, ImagesSubject)
+        follow = subject.follow
+        subject.follow = lambda: (self.go_on.wait(PATIENCE_S), follow())[1]  # type: ignore[method-assign]
+
+
+def test_the_first_frame_is_drawn_on_before_the_second_is_followed(
+    frames: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with going_on(Held(beta_of(frames))) as one:
+        first = one.until(lambda fit: fit.rest)
+        assert first.pictures == ("rest.jpg", "frame1.jpg")
+        assert first.size_px == (100.0, 120.0)
+        assert (first.aee, first.simulated) == (None, ())
+        assert first.busy.startswith("frame 1 of 3")
+        one.set(1, roi=(6.0, 5.0, 86.0, 105.0), held=("top", "bottom"), beta=0.8)
+        one.fitting.handle(RunFit(0))  # of all frames, once they are there
+        one.go_on.set()
+        shown = one.until(lambda fit: fit.found is not None)
+    assert shown.settings.roi == (6.0, 5.0, 86.0, 105.0)
+    assert shown.pictures == ("rest.jpg", "frame3.jpg")
+    assert shown.busy == ""
+    found = typed(shown.command, capsys)
+    assert found["settings"]["frames"] == 3
+    assert (found["settings"]["at"]["aee"], found["value"]) == (shown.aee, shown.found.value)
+
+
+def test_frames_that_came_are_a_result_until_more_come(frames: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fit, "SHOWN_EVERY_S", -1.0)
+    states: list[FitState] = []
+    one = Watched(beta_of(frames))
+    take = one.fitting._send
+    one.fitting._send = lambda kind, *what: (states.append(what[0]) if kind == "fit" else None, take(kind, *what))
+    with going_on(one):
+        one.until(lambda fit: fit.aee is not None and not fit.busy)
+    shown = [(state.busy.partition(",")[0], state.pictures[1], state.aee is not None) for state in states if state.rest]
+    assert list(dict.fromkeys(shown))[:4] == [
+        ("frame 1 of 3", "frame1.jpg", False),
+        ("frame 2 of 3", "frame2.jpg", True),
+        ("frame 3 of 3", "frame3.jpg", True),
+        ("", "frame3.jpg", True),
+    ]
+
+
+def test_one_frame_alone_is_said(frames: Path) -> None:
+    with going_on(Held(beta_of(frames))) as one:
+        one.until(lambda fit: fit.rest)
+        subject = one.fitting._subject
+        subject._frames = iter(())  # type: ignore[union-attr]  # the files are damaged from here on
+        one.go_on.set()
+        assert "at least two frames" in one.until(lambda fit: fit.problem).problem
 
 
 @pytest.mark.slow
@@ -394,7 +453,7 @@ def wait_for_page() -> PageServer:
 
 
 def test_what_is_set_on_a_page(pair: Path) -> None:
-    from deformscope.config.calibrate import LayersFlags, MotionFlags
+    from deformscope.config.calibrate import MotionFlags, PushFlags
     from deformscope.config.options import OutputOptions
 
     paged = OutputOptions(viewer="page")
@@ -404,7 +463,7 @@ def test_what_is_set_on_a_page(pair: Path) -> None:
     assert asked_on_page(beta_of(pair, output=paged, adjust=True), at_terminal=False)
     assert not_on_a_page(BetaConfig((str(pair), str(pair)))) == "2 files"
     assert not_on_a_page(BetaConfig(("x",), motion=MotionFlags(whole_motion=True)))
-    assert not_on_a_page(BetaConfig(("x.npz",), layers=LayersFlags(thickness_m=0.1)))
+    assert not_on_a_page(BetaConfig(("x.npz",), push=PushFlags(thickness_m=0.1)))
     with pytest.raises(InputError, match="2 files"), set_on_page(BetaConfig((str(pair), str(pair))), print):
         pass
     with pytest.raises(InputError, match="--viewer page with --adjust"):

@@ -1,17 +1,26 @@
 """A fit that is set on the page, in a real browser: sliders, drags and clicks become settings, the newest wins."""
 
+import json
 import os
+import shlex
+import threading
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
+import cv2
 import msgspec
 import numpy as np
 import pytest
 
+from deformscope.cli import main
 from deformscope.page.server.fit_messages import FitSettings, FitState
 from deformscope.page.server.messages import FitDrawn, Outcome, PageCommand, RunFit, SetFit, StopRun
 from deformscope.page.server.page_server import PageServer
+from tests.files.test_image_pages import jpeg
+from tests.page.test_fit import wait_for_page
 from tests.page.test_in_browser import chromium, shown, until
+from tests.patience import PATIENCE_S
 
 __all__ = ["shown"]
 
@@ -209,3 +218,80 @@ def test_a_slider_is_seen_within_300_ms(
             f"\nslider to picture, {grid[0]}x{grid[1]}, load {load:.1f}: p50 {p50:.0f} ms, p95 {p95:.0f} ms of {count}"
         )
     assert busy or p95 < LATE_MS
+
+
+FRAMES, SIZE, BODY = 6, (600, 880), (180, 120, 440, 300)
+
+
+@pytest.fixture
+def large(tmp_path: Path) -> Path:
+    """Photographs of a speckled block that is stretched, of more than 0.5 megapixels, each turned as a phone says."""
+    rng = np.random.default_rng(4)
+    speckle = cv2.GaussianBlur(rng.normal(0, 1, SIZE).astype(np.float32), (0, 0), 2.0)
+    speckle = 128 + 40 * np.tanh(1.5 * speckle / speckle.std())
+    y, x = np.mgrid[: SIZE[0], : SIZE[1]].astype(np.float32)
+    for index in range(FRAMES):
+        across = (x - 400) / (1 + 0.006 * index) + 400
+        picture = cv2.remap(speckle, across, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
+        lying = np.rot90(np.clip(picture + rng.normal(0, 2, SIZE), 0, 255).astype(np.uint8))
+        (tmp_path / f"{index}.jpg").write_bytes(jpeg(lying, 6))  # to be turned by a quarter to the right
+    return tmp_path
+
+
+@pytest.mark.slow
+def test_a_drawing_on_the_first_frame_is_kept_until_the_command_ends(
+    large: Path, shown: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = large / "out.json"
+    words = ["calibrate", "beta", *(str(large / f"{index}.jpg") for index in range(FRAMES)), "--candidates", "12"]
+    status: list[int] = []
+    options = ["--viewer", "page", "--adjust", "--json", str(out)]
+    thread = threading.Thread(target=lambda: status.append(main([*words, *options])))
+    thread.start()
+    page = wait_for_page()
+    shown.goto(page.address)
+    drawn = """() => { const canvas = document.getElementById("fit-canvas");
+      const { data } = canvas.getContext("2d").getImageData(canvas.width / 2 - 50, canvas.height / 2 - 50, 100, 100);
+      return new Set(data).size > 50; }"""
+    until(shown, lambda: shown.evaluate(drawn))
+    began = page.session.state.fit
+    assert began is not None
+    assert (began.pictures, began.size_px) == (("rest.jpg", "rest.jpg"), (880.0, 600.0))  # nothing was computed yet
+
+    box = shown.locator("#fit-canvas").bounding_box()
+    scale = min(box["width"] / SIZE[1], box["height"] / SIZE[0])
+    left = box["x"] + (box["width"] - SIZE[1] * scale) / 2
+    top = box["y"] + (box["height"] - SIZE[0] * scale) / 2
+    shown.mouse.move(left + BODY[0] * scale, top + BODY[1] * scale)
+    shown.mouse.down()
+    shown.mouse.move(left + (BODY[0] + BODY[2]) * scale, top + (BODY[1] + BODY[3]) * scale, steps=4)
+    shown.mouse.up()
+    shown.uncheck("#held-top")
+    shown.uncheck("#held-bottom")
+    shown.check("#held-border")
+    roi = tuple(float(value) for value in shown.input_value("#fit-roi").split(","))
+    np.testing.assert_allclose(roi, BODY, atol=2)
+
+    def state() -> FitState:
+        assert page.session.state.fit is not None
+        return page.session.state.fit
+
+    until(shown, lambda: state().aee is not None and not state().busy and state().settings.held == ("border",))
+    assert state().settings.roi == roi
+    assert shown.input_value("#fit-roi") == ",".join(f"{value:g}" for value in roi)
+    assert shown.is_checked("#held-border")
+    last = state()
+    shown.keyboard.press("q")
+    thread.join(PATIENCE_S)
+    assert status == [0]
+    capsys.readouterr()
+    finished = json.loads(out.read_text())
+    assert finished["settings"]["frames"] == FRAMES
+    assert finished["settings"]["at"]["aee"] == last.aee
+    name, *typed = shlex.split(last.command)
+    assert name == "deformscope"
+    assert main([*typed, "--viewer", "none", "--json", "-"]) == 0
+    again = json.loads(capsys.readouterr().out)
+    assert [again[key] for key in ("value", "interval", "aee_px")] == [
+        finished[key] for key in ("value", "interval", "aee_px")
+    ]

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from deformscope.arrays import ImageArray
 from deformscope.config import BetaConfig, ImageOptions, MaterialOptions, ThetaConfig
@@ -18,7 +20,13 @@ from deformscope.images import read_image
 from deformscope.recording.reader import Replay
 from deformscope.stages.fit.calibrate import FitOptions, Model
 from deformscope.stages.msm.solver import pick_device
+from deformscope.stages.see.follow import LARGE_PX
 from deformscope.stages.see.particles import outlined
+
+FLOW_S_PER_PX = 5e-7
+"""Time of the flow both ways from a frame to the next in steady motion, on two cores [s/px]."""
+FOLLOWED_S, FEWEST_FRAMES = 7.5, 16
+"""Time limit of tracking a long sequence, and least number of its frames; jumps take up to 7 times that."""
 
 
 def fit_options(config: BetaConfig | ThetaConfig) -> FitOptions:
@@ -74,6 +82,30 @@ def opened_images(sources: Sequence[str], images: ImageOptions, *, timed: bool =
     return open_source(
         sources, stride=images.stride, fps=images.fps, mask=images.mask, camera=images.camera, timed=timed
     )
+
+
+def thinned(
+    source: Source,
+    particles: ParticleOptions,
+    config: BetaConfig | ThetaConfig,
+    note: Callable[[str], None],
+    *,
+    every: bool = False,
+) -> ParticleOptions:
+    """End the source at the frame of the force, and thin a long one, unless all frames are requested; the number of
+    frames is announced. Returns the options with that number."""
+    if config.push.force_frame is not None:
+        source.end_at(config.push.force_frame)
+    each_s, count = FLOW_S_PER_PX * min(float(np.prod(source.size)), LARGE_PX), source.count or 0
+    if count <= (most := max(FEWEST_FRAMES, round(FOLLOWED_S / each_s))):
+        return particles
+    if every or config.search.fine or images_of(config).stride != 1:
+        note(f"{count} frames are tracked")
+        return particles
+    if (there := source.thin(most)) <= most:
+        return particles
+    note(f"{most} of {there} frames are tracked, evenly spread; --fine tracks all")
+    return dataclasses.replace(particles, frames_of=there)
 
 
 def mask_of(sources: Sequence[str], images: ImageOptions, size: tuple[int, int]) -> ImageArray | None:

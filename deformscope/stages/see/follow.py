@@ -79,6 +79,7 @@ class Follower:
     """Follows particles from image to image. grid: the particles at rest; size: height and width of the images [px]"""
 
     def __init__(self, grid: ParticleGrid, size: tuple[int, int]) -> None:
+        self.is_large = size[0] * size[1] > LARGE_PX
         self._size, self._spacing = size, float(grid.spacing_px.min())
         self._margin = MARGIN
         self._view: View | None = None
@@ -86,7 +87,7 @@ class Follower:
 
     def step(self, before: Image, after: Image, tracked: Tracked) -> tuple[FlowField, Tracked]:
         """Flow from one image to the next, and the particles there. tracked: the particles in `before`"""
-        if self._size[0] * self._size[1] <= LARGE_PX:
+        if not self.is_large:
             self._last = flow_onward(before, after, self._last)
             return self._last.forward, advance(tracked, self._last.forward, self._last.backward)
         view = self._view or self._around(tracked)
