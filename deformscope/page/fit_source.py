@@ -36,7 +36,7 @@ class ImagesSubject:
 
     count: number of frames; followed: frames through which the particles were followed so far, the one at rest
     included; frames are taken as they are needed. In small images the particles of any grid follow a stored flow in
-    milliseconds; in large ones they are followed anew."""
+    milliseconds; in large ones they are followed from the beginning."""
 
     kind: Literal["images"] = "images"
 
