@@ -134,7 +134,8 @@ def results_png(results: Sequence[Result]) -> bytes:
             _draw_evidence(figure, inner, result.estimate, titled=len(results) > 1, size=10, width=44)
     first = results[0].estimate
     if len(results) == 1:
-        words = f"{headline(first)}\n{textwrap.fill(first.verdict_text(), 130)}\nstiffness: {first.stiffness_text()}"
+        stiffness = "stiffness: " * (first.force is None) + first.stiffness_text()
+        words = "\n".join([headline(first), *(textwrap.fill(one, 130) for one in (first.verdict_text(), stiffness))])
         figure.suptitle(words, color=WORDS, fontsize=13)
     else:
         figure.suptitle(f"{first.parameter} of {len(results)} pairs", fontsize=15, fontweight="bold")

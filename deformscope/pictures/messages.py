@@ -93,7 +93,7 @@ def estimate_rows(estimate: Estimate) -> list[tuple[str, str]]:
     found = estimate.settings
     rows = [
         *value_rows(estimate),
-        ("stiffness", estimate.stiffness_text()),
+        *estimate.stiffness_rows(),
         ("error, all particles", format_length(estimate, estimate.aee)),
         ("error, free particles", format_length(estimate, estimate.aee_free)),
         ("noise of a position", format_length(estimate, found.get("noise"))),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -15,8 +16,8 @@ from deformscope.errors import InputError
 from deformscope.file_io import resolve
 from deformscope.frames import InputFile, Item, WrenchFrame
 from deformscope.imports.frame_builder import SI, TIME_NS
-from deformscope.imports.import_map import ASKED, ImportMap, MappedStream
-from deformscope.imports.inspect import inspect, propose
+from deformscope.imports.import_map import ImportMap
+from deformscope.imports.inspect import TIMES, inspect, propose
 from deformscope.imports.readers import TABLE_TYPES, Reader, open_reader
 from deformscope.imports.source import ImportSource
 from deformscope.recording.item_rows import read_rows
@@ -43,7 +44,7 @@ def read_force(push: PushFlags) -> PressForce:
         tables = [one for one in streams if reader.topics[one.topics[0]].type in TABLE_TYPES]
         tables = [one for one in tables if not reader.topics[one.topics[0]].kind]
         if len(tables) == 1 and len(streams) == 1:
-            return _of_table(reader, tables[0], push, path)
+            return _of_table(reader, tables[0].topics[0], push, path)
         names = [one.device for one in streams if one not in tables]
         chosen = [one for one in streams if one.device in ([push.force_sensor] if push.force_sensor else names)]
         if len(chosen) != 1:
@@ -59,34 +60,41 @@ def _items(source: ImportSource) -> Iterator[Item]:
         yield from source.take(0.0)
 
 
-def _of_table(reader: Reader, stream: MappedStream, push: PushFlags, path: Path) -> PressForce:
+def _of_table(reader: Reader, topic: str, push: PushFlags, path: Path) -> PressForce:
     """The force in a column of a table, with the times in another."""
-    units = dict(reader.topics[stream.topics[0]].units)
-    columns = [name for name, unit in units.items() if unit in UNITS and name != stream.time]
+    named = {name: _unit_of(name, unit) for name, unit in reader.topics[topic].units.items()}
+    bare = {name: re.split(r"[\s\[(<#]|_(?:n|u|m)?s$", name)[0].lower() for name in named}
+    time = next((name for known in TIMES for name, base in bare.items() if known in (base, name)), "")
+    columns = [name for name, unit in named.items() if unit in UNITS and name != time]
     if push.force_column is not None:
-        columns = [name for name in units if push.force_column in (name, name.partition(" ")[0])]
+        columns = [name for name in named if push.force_column in (name, name.partition(" ")[0])]
     elif push.force_unit is not None and not columns:
-        columns = [name for name in units if name != stream.time]
+        columns = [name for name in named if name != time]
     if len(columns) != 1:
-        hint = f"--force-column NAME out of {', '.join(name for name in units if name != stream.time)}"
-        came = ", ".join(columns) or push.force_column or "none whose name has a unit, such as force [N]"
+        hint = f"--force-column NAME out of {', '.join(name for name in named if name != time)}"
+        came = ", ".join(columns) or push.force_column or "none whose name has a unit, such as force [N] or weight_g"
         raise InputError("one column with the force", came, hint, path)
-    unit = push.force_unit or units[columns[0]]
+    unit = push.force_unit or named[columns[0]]
     if unit not in UNITS:
         came, hint = unit or f"none in {columns[0]!r}", f"--force-unit {' or '.join(FORCE_UNITS)}"
         raise InputError("the unit of the force", came, hint, path)
-    if stream.time == ASKED or stream.time_unit not in TIME_NS:
-        came = "none" if stream.time == ASKED else f"{stream.time!r} without a unit"
-        raise InputError("a column with the time, such as time [s]", came, "name it so in the table's header", path)
-    rows = [(one.value[stream.time], one.value[columns[0]]) for one in reader.messages(stream.topics)]
+    if not time or named[time] not in TIME_NS:
+        came = f"{time!r} without a unit" if time else "none"
+        raise InputError("a column with the time, such as time_s", came, "name it so in the table's header", path)
+    rows = [(one.value[time], one.value[columns[0]]) for one in reader.messages([topic])]
     try:
-        table = np.array([row for row in rows if None not in row], dtype=np.float64).reshape(-1, 2)
+        rows = [row for row in rows if None not in row]
+        begin = rows[0][0] if rows and isinstance(rows[0][0], int) else 0  # a clock's nanoseconds
+        table = np.array([(at - begin, value) for at, value in rows], dtype=np.float64).reshape(-1, 2)
     except (TypeError, ValueError):
-        raise InputError(f"numbers in {stream.time} and {columns[0]}", "texts", "--force-column NAME", path) from None
-    begin = table[0, 0] if len(table) and table[0, 0] > 1e12 else 0.0  # a clock's nanoseconds
-    return _zeroed(
-        (table[:, 0] - begin) * (TIME_NS[stream.time_unit] / 1e9), UNITS[unit] * table[:, 1, None, None], path
-    )
+        raise InputError(f"numbers in {time} and {columns[0]}", "texts", "--force-column NAME", path) from None
+    return _zeroed(table[:, 0] * (TIME_NS[named[time]] / 1e9), UNITS[unit] * table[:, 1, None, None], path)
+
+
+def _unit_of(name: str, said: str) -> str:
+    """The unit of a column: what the table says, else the end of its name (`time_s`, `weight_g`, `force_N`)."""
+    end = name.rpartition("_")[2] if "_" in name else ""
+    return said or next((one for one in (*UNITS, *TIME_NS) if end in (one, one.lower())), "")
 
 
 def recorded_force(path: Path, sensor: str | None, began_ns: int, flag: str = "--force-sensor") -> PressForce | None:
@@ -123,6 +131,8 @@ def _zeroed(time_s: FloatArray, read: FloatArray, path: Path) -> PressForce:
     free = max(5, round(FREE_SHARE * len(read)))
     zeroed = read - np.median(read[:free], axis=0)
     force_n = np.linalg.norm(zeroed, axis=2).sum(axis=1)
+    if zeroed.shape[1:] == (1, 1):  # its zero may change, and with it a sign
+        force_n = zeroed[:, 0, 0] * np.sign(zeroed[np.abs(zeroed).argmax(), 0, 0])
     return PressForce(time_s, force_n, float(np.std(force_n[:free])))
 
 

@@ -71,8 +71,9 @@ def calibrate_images(
     settings |= {"outline": list(images.outline)} if images.outline is not None else {}
     with opened() as source:
         settings["timed"] = source.timed
-        if log is not None and config.push.force_sensor is not None and str(sources[0]) == config.push.force:
+        if log is not None and push is not None and str(sources[0]) == config.push.force:  # of one clock
             log = dataclasses.replace(log, time_s=log.time_s - 1e-9 * source.began_ns)
+            push = dataclasses.replace(push, force_offset_s=push.force_offset_s or 0.0)
         mask = mask_of(sources, images, source.size)
         particles = thinned(source, particles, config, note, every=select is not None)
         return run_images(source, mask, fit, particles, settings, config.output, select, progress, push, log)

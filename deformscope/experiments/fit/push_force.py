@@ -65,28 +65,23 @@ def with_force(
     """The last pose with the force on its contact. times: time of each frame after the first [s]; parts,
     contact: what is held, and the footprint of the tool; log: the force over time, where `push` has none"""
     seen = dataclasses.replace(seen, contact=_contact(seen, grid, parts, contact), scale_sd=push.scale_sd)
+    offset, curve, spread = None, None, 0.0
     if log is None:
         assert push.force_n is not None
-        force, offset, spread = push.force_n, None, 0.0
-        curve = None
+        force = push.force_n
     else:
-        moved = _depths(seen, history)
-        time_s = np.asarray(times)
-        offset = _offset(time_s, moved, log, push, level)
-        force = float(log.at(time_s[-1] + offset.value))
-        spread = 0.0
-        if offset.posterior is not None:
-            drawn = offset.posterior.quantile(np.linspace(0.005, 0.995, 199))
-            spread = float(np.std(log.at(time_s[-1] + drawn)))
-        loading = np.arange(int(moved.argmax()) + 1)
-        scale = seen.metres_per_unit
-        curve = None if scale is None else PushCurve(scale * moved[loading], log.at(time_s[loading] + offset.value))
+        moved, time_s = _depths(seen, history), np.asarray(times)
+        _check_given(push.force_offset_s, time_s, log)
+        offset = find_offset(time_s, moved, log, level, push.force_offset_s)
+        force, spread = float(offset.force_n[-1]), offset.force_sd_n
         if not force > log.off_n():
             came = f"{force:.2g} N at {time_s[-1] + offset.value:.3g} s of the log"
             raise InputError("a force at the fitted frame", came, "--force-frame of a pressed frame")
+        loading = slice(int(moved.argmax()) + 1)
+        if seen.metres_per_unit is not None:
+            curve = PushCurve(seen.metres_per_unit * moved[loading], offset.force_n[loading])
     usual = float(np.hypot(GAIN * force, RESOLUTION_N))
-    stated = usual if push.force_sd_n is None else push.force_sd_n
-    sd = float(np.sqrt(stated**2 + spread**2 + (0.0 if log is None else log.zero_sd_n**2)))
+    sd = float(np.hypot(usual if push.force_sd_n is None else push.force_sd_n, spread))
     return Pushed(dataclasses.replace(seen, force_n=force, force_noise_n=sd), offset, curve)
 
 
@@ -98,7 +93,15 @@ def found_by_force(estimate: Estimate, pushed: Pushed, push: PushOptions, seed: 
     force: WithInterval = (seen.force_n, (max(seen.force_n - half, 0.0), seen.force_n + half))
     at = pushed.offset
     offset = None if at is None else (at.value, at.interval)
-    estimate = dataclasses.replace(estimate, force=force, force_curve=pushed.curve, force_offset=offset)
+    of_both = [one for one in estimate.reasons if one.code in OF_STIFFNESS and one.code != "little-explained"]
+    stiffness = estimate.contact_stiffness
+    estimate = dataclasses.replace(
+        estimate,
+        force=force,
+        force_curve=pushed.curve,
+        force_offset=offset,
+        stiffness_verdict="unidentified" if stiffness is None else relative_verdict(*stiffness, of_both),
+    )
     doubts = list(estimate.reasons)
     if seen.force_n > MOST_N:
         doubts.append(Doubt("units", f"a force of {seen.force_n:.3g} N: grams given as newtons?"))
@@ -107,7 +110,6 @@ def found_by_force(estimate: Estimate, pushed: Pushed, push: PushOptions, seed: 
     plane: Plane = "strain" if push.plane_strain else "stress"
     found = plane_modulus(seen, push.thickness_m, push.thickness_sd, plane, level, seed)
     doubts += [one for one in found.reasons if one.code == "units"]
-    of_both = [one for one in estimate.reasons if one.code in OF_STIFFNESS and one.code != "little-explained"]
     return dataclasses.replace(
         estimate,
         modulus=found.modulus,
@@ -139,11 +141,7 @@ def _depths(seen: Observation, history: Sequence[Tracked]) -> FloatArray:
     return np.array(found)
 
 
-def _offset(time_s: FloatArray, moved: FloatArray, log: PressForce, push: PushOptions, level: float) -> ForceOffset:
-    if push.force_offset_s is None:
-        return find_offset(time_s, moved, log, level)
-    at = push.force_offset_s
-    if not log.time_s[0] <= time_s[-1] + at <= log.time_s[-1]:
-        came = f"one of {log.time_s[0]:.4g} to {log.time_s[-1]:.4g} s, and the last frame at {time_s[-1] + at:.4g} s"
+def _check_given(offset_s: float | None, time_s: FloatArray, log: PressForce) -> None:
+    if offset_s is not None and not log.time_s[0] <= time_s[-1] + offset_s <= log.time_s[-1]:
+        came = f"{log.time_s[0]:.4g} to {log.time_s[-1]:.4g} s, and the last frame at {time_s[-1] + offset_s:.4g} s"
         raise InputError("a force log that has the fitted frame", came, "another --force-offset-s")
-    return ForceOffset(at, (at, at))

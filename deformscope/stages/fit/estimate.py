@@ -25,6 +25,9 @@ NoiseSource = Literal["given", "flow", "residuals"]
 IDENTIFIED_WIDTH, WEAK_WIDTH = 0.2, 0.7
 """An interval narrower than the first is identified, narrower than the second weak."""
 
+RATIO_KNOWN = 0.25
+"""Widest interval of Poisson's ratio that counts as determined."""
+
 RISE_LEAST = 2.0
 """Standard deviations by which the data must separate the likeliest value from the least likely."""
 
@@ -248,24 +251,36 @@ class Estimate(ReportedResult):
     @derived()
     def stiffness_text(self) -> str:
         """Remarks on stiffness, as text."""
+        if self.force is not None:
+            return "; ".join(f"{name} {words}" for name, words in self.stiffness_rows())
         texts = []
         if self.contact_stiffness is not None:
-            value, (low, high) = self.contact_stiffness
-            texts.append(f"{value:.3g} N/mm at the contact ({low:.3g} to {high:.3g})")
+            texts.append("{:.3g} N/mm at the contact ({:.3g} to {:.3g})".format(*_flat(self.contact_stiffness)))
         if self.stiffness is not None:
-            value, (low, high) = self.stiffness
-            found = f"{self.stiffness_verdict}: {value:.4g} N/m ({low:.4g} to {high:.4g})"
-            texts.append(f"the model's constant k is {found}")
-        if self.modulus is not None and self.poisson is not None:
-            value, low, high = (1e-3 * one for one in (self.modulus[0], *self.modulus[1]))
-            ratio = "Poisson's ratio {:.2f} ({:.2f} to {:.2f})".format(self.poisson[0], *self.poisson[1])
-            found = f"{value:.3g} kPa ({low:.3g} to {high:.3g}) in plane {self.plane}, {ratio}"
-            texts.append(f"the modulus is {self.modulus_verdict}: {found}")
-        if self.force is not None and self.metres_per_unit is None:
-            texts.append(f"{self.force[0]:.3g} N, but no scale: give --px-per-cm or --scale-from")
-        elif self.force is not None and self.modulus is None:
-            texts.append("for the modulus give --thickness-m")
+            found = "{:.4g} N/m ({:.4g} to {:.4g})".format(*_flat(self.stiffness))
+            texts.append(f"the model's constant k is {self.stiffness_verdict}: {found}")
         return "; ".join(texts) or "position alone does not identify stiffness here: give a force"
+
+    def stiffness_rows(self) -> list[tuple[str, str]]:
+        """Stiffness as names and values; of images with a force each quantity, or what it lacks."""
+        if self.force is None:
+            return [("stiffness", self.stiffness_text())]
+        rows = [("force", "{:.3g} N ({:.3g} to {:.3g})".format(*_flat(self.force)))]
+        if self.force_offset is not None:
+            found = "{:.3g} s at the first frame ({:.3g} to {:.3g})".format(*_flat(self.force_offset))
+            rows.append(("time of the log", found))
+        if self.metres_per_unit is None:
+            return [*rows, ("stiffness", "no scale: give --px-per-cm or --scale-from")]
+        if self.contact_stiffness is not None:
+            found = "{:.3g} N/mm ({:.3g} to {:.3g})".format(*_flat(self.contact_stiffness))
+            rows.append(("stiffness at the contact", f"{self.stiffness_verdict}: {found}"))
+        if self.modulus is None or self.poisson is None:
+            return [*rows, ("modulus", "give --thickness-m")]
+        found = "{:.3g} kPa ({:.3g} to {:.3g})".format(*(1e-3 * one for one in _flat(self.modulus)))
+        ratio = "{:.2f} ({:.2f} to {:.2f})".format(*_flat(self.poisson))
+        known = "" if self.poisson[1][1] - self.poisson[1][0] <= RATIO_KNOWN else "not determined: "
+        rows.append(("modulus", f"{self.modulus_verdict}: {found} in plane {self.plane}"))
+        return [*rows, ("Poisson's ratio", known + ratio)]
 
     aee: float
     aee_free: float
@@ -351,6 +366,10 @@ class Estimate(ReportedResult):
     def _scale(self) -> float:
         """Factor of lengths in JSON: to metres where the scale is known."""
         return 1.0 if self.metres_per_unit is None else self.metres_per_unit
+
+
+def _flat(one: WithInterval) -> tuple[float, float, float]:
+    return one[0], *one[1]
 
 
 def converged_text(found: Any) -> str:

@@ -1,96 +1,160 @@
-"""The time of a force log at a video's first frame, by the rise of the force against the rise of the motion.
+"""The force at a video's frames, by a log whose clock, zero and lag are its own.
 
-At the right offset the force is a smooth function of the depth. It is fitted as a cubic polynomial; the offset with the
-least error is the estimate, and its interval has the errors' own correlation in time."""
+At the right time the log is a smooth function of the depth that starts at zero: a cubic polynomial, as a display with a
+time constant shows it. Offset and time constant with the least error are the estimate; their probability
+has the errors' own correlation in time."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.fit.estimate import Posterior
 from deformscope.stages.materials.press_cycle import PressForce
 
-SHARED = 0.8
-"""Share of the depth and of the force whose rise must lie in what both have seen, and which the fit must explain."""
+SHARED, RISEN = 0.8, 0.5
+"""Share of the depth whose rise must lie in what both have seen, and which the fit must explain; the same of the force,
+which a slow display may not have shown in full at the last frame."""
 DEGREE = 3
-TRIED = 4000
-"""Most offsets that are tried at first."""
+LAGS_S = np.append(0.0, np.geomspace(0.1, 1.5, 16))
+"""Time constants of a display: 0, and those of kitchen scales; less than these looks like a delay."""
+TRIED, FINE = 6000, 1201
+"""Most offsets that are tried at first, and near the best of them."""
+NEAR_S = 2.5
+"""How far around the first best offset others are tried: a lag looks like a delay at first."""
 HINT = "--force-offset-s with the log's time at the first frame, or a log of the whole push"
 
 
 @dataclass(frozen=True, slots=True)
 class ForceOffset:
-    """The log's time at the first frame [s]: value, interval, and posterior, None where it was given."""
+    """The log's time at the first frame [s], and its interval; lag_s: time constant of its display
+
+    force_n: (T,) force at each frame, less the log's zero and lag [N]; force_sd_n: standard deviation of the last, by
+    offset and lag"""
 
     value: float
     interval: tuple[float, float]
-    posterior: Posterior | None = None
+    lag_s: float
+    force_n: FloatArray
+    force_sd_n: float
 
 
-def find_offset(time_s: FloatArray, depth: FloatArray, force: PressForce, level: float) -> ForceOffset:
-    """The offset of a log. time_s, depth: (T,) time after the first frame, and depth of the push in any unit. Raises
-    InputError where the offset is not determined: both share no rise, or no edge of one."""
-    begin, end = float(force.time_s[0]) - float(time_s[-1]), float(force.time_s[-1])
-    step = min(float(np.median(np.diff(time_s))), float(np.median(np.diff(force.time_s))))
-    coarse = np.linspace(begin, end, min(TRIED, int((end - begin) / step) + 2))
-    errors, counts = _errors(coarse, time_s, depth, force)
+def find_offset(
+    time_s: FloatArray, depth: FloatArray, log: PressForce, level: float, given: float | None = None
+) -> ForceOffset:
+    """The force of a log. time_s, depth: (T,) time after the first frame, and depth of the push in any unit; given: the
+    offset, if it is known. Raises InputError where it is not determined: both share no rise, or no edge of one."""
+    log = _SmoothForce(log.time_s, log.force_n, log.zero_sd_n)
+    steps = [float(np.median(np.diff(one))) for one in (time_s, log.time_s)]
+    step = min(steps)
+    if given is None:
+        begin, end = float(log.time_s[0]) - float(time_s[-1]), float(log.time_s[-1])
+        offsets = np.linspace(begin, end, min(TRIED, int((end - begin) / step) + 2))
+        errors = _errors(offsets, time_s, _lagged(time_s, depth, 0.0), log)
+        if not np.isfinite(errors).any():
+            came = f"one of {np.ptp(log.force_n):.2g} N over {np.ptp(log.time_s):.3g} s that does not overlap with it"
+            raise InputError("a force log that has the push of the video", came, HINT)
+        offsets = offsets[int(np.nanargmin(errors))] + np.linspace(-NEAR_S, 0.2 * NEAR_S, FINE)
+    else:
+        offsets = np.array([given])
+    columns = [_lagged(time_s, depth, float(lag)) for lag in LAGS_S]
+    least = 1.0 if given is None else 0.0
+    errors = np.stack([_errors(offsets, time_s, one, log, least) for one in columns])  # (lags, offsets)
     if not np.isfinite(errors).any():
-        came = f"one of {np.ptp(force.force_n):.2g} N over {np.ptp(force.time_s):.3g} s that does not overlap with it"
-        raise InputError("a force log that has the push of the video", came, HINT)
-    best = float(coarse[int(np.nanargmin(errors))])
-    width = float(coarse[1] - coarse[0])
-    near = np.linspace(best - 40.0 * width, best + 40.0 * width, 3201)
-    errors, counts = _errors(near, time_s, depth, force)
-    at = int(np.nanargmin(errors))
-    share = 1.0 - float(errors[at]) / float(np.var(force.at(time_s + near[at])))
-    correlation = _correlation(_left(near[at], time_s, depth, force)[0])
-    worth = 0.5 * counts[at] * (1.0 - correlation) / (1.0 + correlation)
-    floor = (1e-3 * float(force.force_n.max())) ** 2
-    log_density = np.where(np.isfinite(errors), -worth * np.log(np.maximum(errors, floor)), -np.inf)
-    density = np.exp(log_density - log_density.max())
-    posterior = Posterior(near, density / np.trapezoid(density, near))
-    low, high = posterior.shortest(level, float(near[at]))
+        return ForceOffset(float(offsets[0]), (float(offsets[0]),) * 2, 0.0, log.at(time_s + offsets[0]), 0.0)
+    lag, at = np.unravel_index(int(np.nanargmin(errors)), errors.shape)
+    left, inside = _left(float(offsets[at]), time_s, columns[lag], log)
+    worth = 0.5 * len(left) * (1.0 - _correlation(left)) / (1.0 + _correlation(left))
+    floor = (2e-4 * float(np.ptp(log.force_n))) ** 2
+    chance = np.where(np.isfinite(errors), -worth * np.log(np.maximum(errors, floor)), -np.inf)
+    chance = np.exp(chance - chance.max())
+    rows = np.argwhere(chance > 1e-4)
+    forces = np.stack([_force(float(offsets[j]), time_s, columns[i], log) for i, j in rows])
+    weights = chance[tuple(rows.T)] / chance[tuple(rows.T)].sum()
+    order = np.argsort(forces[:, -1])
+    ends = np.interp([0.16, 0.84], np.cumsum(weights[order]), forces[order, -1])
+    spread, force_n = 0.5 * float(ends[1] - ends[0]), _force(float(offsets[at]), time_s, columns[lag], log)
+    best = float(offsets[at])
+    if given is not None:
+        return ForceOffset(given, (given, given), float(LAGS_S[lag]), force_n, spread)
+    density = chance.sum(axis=0)
+    low, high = Posterior(offsets, density / np.trapezoid(density, offsets)).shortest(level, best)
     rising = time_s[(depth > 0.1 * depth.max()) & (depth < 0.9 * depth.max())]
-    rise_s = float(np.ptp(rising)) if len(rising) else 0.0
-    if share < SHARED or high - low > max(rise_s, 2.0 * step):
+    share = 1.0 - float(errors[lag, at]) / max(float(np.var(log.at(time_s[inside] + best))), 1e-300)
+    if share < SHARED or high - low > max(float(np.ptp(rising)) if len(rising) else 0.0, 2.0 * step):
         came = f"not determined: {low:.3g} to {high:.3g} s, of which {max(share, 0.0):.0%} of the force is explained"
         raise InputError("a force log whose rise is that of the motion", came, HINT)
-    half = 0.5 * float(near[1] - near[0]) + 0.25 * step
-    return ForceOffset(float(near[at]), (low - half, high + half), posterior)
+    half = 0.25 * max(steps)  # what happens between readings, or frames, is not known
+    return ForceOffset(best, (low - half, high + half), float(LAGS_S[lag]), force_n, spread)
 
 
-def _left(
-    offset: float, time_s: FloatArray, depth: FloatArray, force: PressForce
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(n,) errors of a polynomial of the depth, and force and depth, at the frames that the log has."""
-    inside = (time_s + offset >= force.time_s[0]) & (time_s + offset <= force.time_s[-1])
-    measured, some = force.at(time_s[inside] + offset), depth[inside]
-    if len(some) <= DEGREE + 2:
-        return np.zeros(0), measured, some
-    columns = np.vander(some / max(float(np.abs(some).max()), 1e-300), DEGREE + 1)
-    found = np.linalg.lstsq(columns, measured, rcond=None)[0]
-    return measured - columns @ found, measured, some
+@dataclass(frozen=True)
+class _SmoothForce(PressForce):
+    """A log between whose readings lies a smooth curve: straight lines would cut the corners of a slow scale."""
+
+    @cached_property
+    def _curve(self) -> PchipInterpolator:
+        return PchipInterpolator(self.time_s, self.force_n)
+
+    def at(self, time_s: FloatArray) -> FloatArray:
+        return np.asarray(self._curve(np.clip(time_s, self.time_s[0], self.time_s[-1])))
+
+
+def _lagged(time_s: FloatArray, depth: FloatArray, lag_s: float) -> FloatArray:
+    """(T, 2 DEGREE + 1) powers of the depth from 1 on as a display with a time constant shows them, 1, and the powers
+    themselves."""
+    share = depth / max(float(np.abs(depth).max()), 1e-300)
+    powers = np.stack([share**power for power in range(1, DEGREE + 1)], axis=1)
+    shown = powers.copy()
+    for row in range(1, len(shown)) if lag_s else ():
+        gap = time_s[row] - time_s[row - 1]
+        behind = (powers[row] - powers[row - 1]) * lag_s / gap
+        shown[row] = powers[row] - behind + (shown[row - 1] - powers[row - 1] + behind) * np.exp(-gap / lag_s)
+    return np.column_stack([shown, np.ones(len(share)), powers])
+
+
+def _left(offset: float, time_s: FloatArray, columns: FloatArray, log: PressForce) -> tuple[FloatArray, FloatArray]:
+    """(n,) errors of the best polynomial at the frames that the log has, and which those are (T,)."""
+    inside = (time_s + offset >= log.time_s[0]) & (time_s + offset <= log.time_s[-1])
+    measured, some = log.at(time_s[inside] + offset), columns[inside, : DEGREE + 1]
+    return measured - some @ np.linalg.lstsq(some, measured, rcond=None)[0], inside
+
+
+def _force(offset: float, time_s: FloatArray, columns: FloatArray, log: PressForce) -> FloatArray:
+    """(T,) the log at each frame, less its zero, and with what its display has not shown yet."""
+    inside = (time_s + offset >= log.time_s[0]) & (time_s + offset <= log.time_s[-1])
+    shown, powers = columns[:, : DEGREE + 1], columns[:, DEGREE + 1 :]
+    found = np.linalg.lstsq(shown[inside], log.at(time_s[inside] + offset), rcond=None)[0]
+    return np.asarray(log.at(time_s + offset) - found[-1] + (powers - shown[:, :DEGREE]) @ found[:-1])
 
 
 def _errors(
-    offsets: FloatArray, time_s: FloatArray, depth: FloatArray, force: PressForce
-) -> tuple[FloatArray, FloatArray]:
-    """(n,) mean squared error at each offset [N^2], NaN where log and video do not share the rise, and the number of
-    frames."""
-    errors, counts = np.full(len(offsets), np.nan), np.zeros(len(offsets))
-    for row, offset in enumerate(offsets):
-        left, measured, some = _left(float(offset), time_s, depth, force)
-        is_shared = len(left) and np.ptp(measured) >= SHARED * np.ptp(force.force_n)
-        if is_shared and np.ptp(some) >= SHARED * np.ptp(depth):
-            errors[row], counts[row] = np.mean(left**2), len(left)
-    return errors, counts
+    offsets: FloatArray, time_s: FloatArray, columns: FloatArray, log: PressForce, least: float = 1.0
+) -> FloatArray:
+    """(n,) mean squared error at each offset [N^2], NaN where log and video do not share the rise. least: 0 = they
+    may share any part"""
+    first = np.searchsorted(time_s, log.time_s[0] - offsets - 1e-9)
+    last = np.searchsorted(time_s, log.time_s[-1] - offsets + 1e-9, side="right")
+    errors = np.full(len(offsets), np.nan)
+    for begin, end in np.unique(np.stack([first, last], axis=1), axis=0):
+        rows = np.flatnonzero((first == begin) & (last == end))
+        some, depth = columns[begin:end, : DEGREE + 1], columns[begin:end, DEGREE + 1]
+        if end - begin <= DEGREE + 3 or not np.ptp(depth) >= least * SHARED * np.ptp(columns[:, DEGREE + 1]):
+            continue
+        measured = log.at(time_s[begin:end] + offsets[rows, None])
+        basis, _ = np.linalg.qr(some)
+        left = measured - (measured @ basis) @ basis.T
+        enough = np.ptp(measured, axis=1) >= least * RISEN * np.ptp(log.force_n)
+        errors[rows] = np.where(enough, np.mean(left**2, axis=1), np.nan)
+    return errors
 
 
 def _correlation(left: FloatArray) -> float:
-    """Of neighbouring errors, 0 to 0.95."""
+    """Correlation of neighbouring errors, 0 to 0.95."""
     size = float(left @ left)
     return float(np.clip(left[1:] @ left[:-1] / size, 0.0, 0.95)) if size else 0.0

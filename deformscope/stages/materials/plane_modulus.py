@@ -30,8 +30,6 @@ from deformscope.stages.fit.model import Observation
 
 RATIOS = np.array([0.0, 0.08, 0.16, 0.24, 0.32, 0.4, 0.45, 0.49])
 """Poisson's ratios that are simulated; quantities between them are interpolated."""
-RATIO_KNOWN = 0.25
-"""Widest interval of Poisson's ratio that counts as determined."""
 DRAWS = 4000
 BESIDE = 2
 """Particles on each side of the contact whose measured positions are prescribed too: part of the force is theirs."""
@@ -54,11 +52,6 @@ class PlaneModulus:
     poisson: WithInterval
     explained: float
     reasons: tuple[Doubt, ...]
-
-    @property
-    def poisson_known(self) -> bool:
-        """Whether the motion determines Poisson's ratio; else its interval is hardly narrower than its prior."""
-        return self.poisson[1][1] - self.poisson[1][0] <= RATIO_KNOWN
 
 
 def plane_modulus(
