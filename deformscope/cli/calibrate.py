@@ -40,6 +40,8 @@ def _fit(config: BetaConfig | ThetaConfig, show_on_page: Callable[[Estimate, Res
         save_model(found[0].model(), config.model.save)
         if "model" in every[0]:
             every[0]["model"] = str(config.model.save)
+    if config.model.save_pair is not None:
+        found[0].save_pair(config.model.save_pair)
     write_json(every[0] if len(every) == 1 else every, config.output.json)
     for one in found:
         if one.problems:

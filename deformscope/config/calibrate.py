@@ -51,6 +51,9 @@ class ModelOptions(Flags):
 
     save: flags.ModelFlag = None
     """Write the fitted model for `deformscope predict` (.npz, no pickle)."""
+    save_pair: flags.ArraysFlag = None
+    """Images with a scale: write the fitted frame as a pair file: particles at rest and seen, held ones, force. An
+    existing file is replaced."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from deformscope.errors import InputError
+from deformscope.file_io import replacing
 from deformscope.files.arrays_file import NOT_KNOWN, Arrays, indices, lattice, number, numbers, parsed, rest_of, sized
 from deformscope.stages.fit.model import Observation, touched_of
 from deformscope.stages.fit.plausible import check_metres, check_same_unit
@@ -28,6 +30,21 @@ def parse_pair(raw: bytes, where: object = "", *, noise_m: float | None = None) 
     regular within 1 % is taken as a lattice. noise_m: noise that replaces the file's. Raises InputError for missing
     arrays, for arrays that contradict each other, and for values that are not finite, or cannot be metres."""
     return parsed(raw, "pair", where, lambda found: _observation(found, noise_m))
+
+
+def save_pair(seen: Observation, path: Path) -> None:
+    """Write an observation as a pair file; an existing file is replaced. Raises InputError without a scale."""
+    if (scale := seen.metres_per_unit) is None:
+        raise InputError("a scale for a pair file, which is in metres", "pixels", "--px-per-cm or --scale-from")
+    observed = np.isfinite(seen.deformed).all(axis=1) & seen.observed
+    arrays = {"rest": scale * seen.rest, "deformed": scale * seen.deformed, "held": seen.held, "observed": observed}
+    arrays |= {} if seen.noise is None else {"noise_m": scale * seen.noise}
+    arrays |= {} if seen.shape is None or seen.cell is None else {"shape": np.array(seen.shape), "cell": seen.cell}
+    if seen.force_n is not None:
+        arrays |= {"force_n": np.array(seen.force_n), "contact": seen.touched}
+        arrays |= {} if seen.force_noise_n is None else {"force_noise_n": np.array(seen.force_noise_n)}
+    with replacing(path) as file:
+        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
 
 
 def _observation(found: Arrays, noise_m: float | None) -> Observation:

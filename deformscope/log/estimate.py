@@ -17,6 +17,7 @@ from deformscope.pictures.palette import HELD, OBSERVED, REST, SIMULATED, Rgb, c
 from deformscope.pictures.report import Table, cell_text, table_markdown
 from deformscope.rows import to_components
 from deformscope.stages.fit.estimate import Comparison, Estimate
+from deformscope.stages.fit.particle_frame import ParticleFrame, particle_frame
 from deformscope.stages.see.triangulation import raster, triangulate
 
 RESIDUAL_RADIUS, DEEP_RADIUS, DEEP_OBSERVED_RADIUS = 0.15, 0.13, 0.16
@@ -36,6 +37,8 @@ RING: Rgb = (20, 20, 20)
 
 def log_comparison(rec: rr.RecordingStream, comparison: Comparison, canvas: Canvas) -> None:
     """Simulated particles in red with the observed ones, their differences, and the model's error."""
+    numbers = to_components(particle_frame(comparison))
+    rec.log("particles/observed", rr.DynamicArchetype(ParticleFrame.__name__, components=numbers))
     length = errors(comparison)
     free = np.ones(len(length), dtype=np.bool_)
     free[comparison.held] = False

@@ -30,6 +30,7 @@ from deformscope.results.declared import quantities
 from deformscope.results.render import to_json
 from deformscope.rows import ENTITIES, FRAMES, IMAGES, OF_DEVICES, SERIES, SHAPE, field_of, from_components, from_json
 from deformscope.stages.fit.estimate import Estimate
+from deformscope.stages.fit.particle_frame import ParticleFrame
 from deformscope.stages.map.exploration import MapEstimate
 from deformscope.stages.map.force_pose import ForcePose
 from deformscope.stages.materials.axis_estimate import AxisEstimate
@@ -104,7 +105,17 @@ number."""
 _MATERIALS = (AxisEstimate, FieldEstimate, RecoveryEstimate, YieldEstimate)
 _KINDS: dict[str, type] = {
     one.__name__: one
-    for one in (*OF_DEVICES, *ENTITIES, *STAGE_KINDS, *_MATERIALS, StageResult, Estimate, Health, ForcePose)
+    for one in (
+        *OF_DEVICES,
+        *ENTITIES,
+        *STAGE_KINDS,
+        *_MATERIALS,
+        StageResult,
+        Estimate,
+        ParticleFrame,
+        Health,
+        ForcePose,
+    )
 }
 _SHOWN = {shown: name for name, shown in IMAGES.items()}
 _SERIES = {"host_ns": "ForcePose:host_ns", VALUES: "ForcePose:values"}

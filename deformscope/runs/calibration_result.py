@@ -7,6 +7,7 @@ from pathlib import Path
 
 from deformscope.errors import InputError
 from deformscope.files.model_file import save_model
+from deformscope.files.pairs import save_pair
 from deformscope.pictures.evidence import Result, results_png
 from deformscope.pictures.messages import estimate_tables
 from deformscope.pictures.report import Figure, Table
@@ -63,7 +64,7 @@ class CalibrationResult(SourceResult):
         if self.pokes is not None:
             return self.pokes.model
         if self.pair is None:
-            raise InputError("a result of one pair, or of pokes of a surface", "several pairs, or images")
+            raise InputError("a result of one pair, of images, or of pokes of a surface", "several pairs")
         (seen, model), found = self.pair, self.estimate
         beta, theta = (found.value, model.theta) if model.parameter == "beta" else (model.beta, found.value)
         law = Law(beta, theta, model.cluster_size, model.basis, model.volume)
@@ -74,6 +75,12 @@ class CalibrationResult(SourceResult):
     def save(self, path: Path | str) -> None:
         """Write `model()` as a file (.npz) for `deformscope predict`."""
         save_model(self.model(), Path(path))
+
+    def save_pair(self, path: Path | str) -> None:
+        """Write the fitted particles as a pair file (.npz), which `calibrate_beta` and the other fits read."""
+        if self.pair is None:
+            raise InputError("a result of one pair, or of images", "several pairs, or pokes of a surface")
+        save_pair(self.pair[0], Path(path))
 
     def picture(self) -> bytes:
         """Particles, the model's error over the body, error curve and posterior, as PNG."""

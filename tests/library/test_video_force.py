@@ -222,3 +222,36 @@ def test_the_particles_are_there_as_a_pair_and_predict_takes_the_model(
         tmp_path / "block.npz", at=(0.5 * 0.01 * WIDE / PX_PER_CM, 0.0), depth_m=depth_m, tip="flat", size_m=(0.03,)
     )
     assert poked.to_dict()["force_n"] > 0.0
+
+
+def test_the_fitted_particles_are_a_pair_file(found: ds.CalibrationResult, tmp_path: Path) -> None:
+    found.save_pair(tmp_path / "pair.npz")
+    again = ds.calibrate_beta(tmp_path / "pair.npz", candidates=12, progress=False)
+    assert again.value == pytest.approx(found.value, abs=0.02)
+    stiffness = again.to_dict()["contact_stiffness_n_per_mm"]["value"]
+    assert stiffness > found.to_dict()["contact_stiffness_n_per_mm"]["value"]  # the particles' depth, not the faces'
+    with pytest.raises(ds.InputError, match="scale for a pair file"):
+        fit(**scaled(px_per_cm=None)).save_pair(tmp_path / "none.npz")
+
+
+def test_every_particle_of_every_frame_is_in_a_table(tmp_path: Path) -> None:
+    path = tmp_path / "run.rrd"
+    one = fit(**scaled(record=path))
+    table = ds.open_recording(path).table("particles/observed")
+    assert table.num_rows == 5
+    last = table.slice(4).to_pylist()[0]
+    rest, observed, simulated, residual = (
+        np.reshape(last[name], (45, 2)) for name in ("rest", "observed", "simulated", "residual")
+    )
+    assert one.pair is not None
+    np.testing.assert_allclose(rest, one.pair[0].rest)
+    np.testing.assert_allclose(observed, one.pair[0].deformed)
+    np.testing.assert_allclose(observed - simulated, residual)
+    strain = np.reshape(last["strain"], (45, 2, 2))
+    across = uniaxial(0.88, RATIO, "stress")[0]
+    np.testing.assert_allclose(np.median(strain[:, 1, 1]), 0.5 * (0.88**2 - 1.0), atol=2e-3)
+    np.testing.assert_allclose(np.median(strain[:, 0, 0]), 0.5 * (across**2 - 1.0), atol=2e-3)
+    assert sum(last["held"]) == 18
+    assert last["unit"] == "px"
+    exported = ds.export(path, to="csv", out=tmp_path / "tables")
+    assert any("particles" in str(name) for name in (tmp_path / "tables").rglob("*.csv")), exported
