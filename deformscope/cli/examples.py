@@ -22,7 +22,7 @@ EXAMPLES: dict[str, str] = {
     "calibrate viscous": "deformscope calibrate viscous sample:press --picture viscous.png",
     "predict": "deformscope calibrate beta sample:poke --thickness-m 0.05 --save slab.npz\n"
     "deformscope predict slab.npz --poke 'at=0.28,0.2 tip=flat size=0.03x0.03 force=5' --picture dent.png",
-    "indent": "deformscope explore lab:homogeneous-60 --touches 2 --record foam.rrd\n"
+    "indent": "deformscope explore lab:homogeneous-60 --touches 1 --pace quick --beta-model none --record foam.rrd\n"
     "deformscope indent foam.rrd --tip sphere:0.02 --thickness-m 0.05 --bonded --poisson 0.3 --picture curves.png",
     "squeeze": "deformscope squeeze lab:containers --content rice --container box-01",
     "classify": "deformscope classify sample:table --quick --report classified.html",

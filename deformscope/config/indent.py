@@ -108,5 +108,4 @@ class IndentConfig(RecordedOptions):
         if (self.thickness_m is not None) != (self.bonded or self.sliding):
             expected = "--thickness-m with --bonded or --sliding"
             raise InputError(expected, "one without the other", "--thickness-m 0.01 --bonded")
-        if self.map is not None and (self.force_column or self.depth_column or self.time_column):
-            raise InputError("--map or columns", "both", "leave one out")
+        either("--map", "--force-column and --depth-column", self.map, self.force_column or self.depth_column)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -47,9 +47,7 @@ ROLES = {
     "time": ("s", re.compile(r"time|zeit|\bt\b", re.IGNORECASE)),
 }
 """Quantity of each column, and names that it has."""
-FACTORS = {unit: (of, factor) for unit, (of, factor) in SI.items()} | {
-    unit: ("s", ns / 1e9) for unit, ns in TIME_NS.items()
-}
+FACTORS = SI | {unit: ("s", ns / 1e9) for unit, ns in TIME_NS.items()}
 TOUCHED = 0.1
 """Share of the largest force below which the tip of a recording is between two touches."""
 UNSHOWN = {"name", "verdict", "reasons"}
@@ -131,10 +129,10 @@ def indent(config: IndentConfig, arrays: Sequence[CurveArrays] = ()) -> IndentRe
     found = tuple(fit_indentation(one, sample) for one in curves)
     settings = {"command": "indent", **cast("dict[str, object]", plain(config))}
     together = combine(found) if len(found) > 1 else None
+    result = IndentResult(sample=sample, curves=found, together=together, settings=settings)
     with open_recorder(config.output, settings, FINDINGS.variant("indent")) as recorder:
-        result = IndentResult(sample=sample, curves=found, together=together, settings=settings)
         recorder.write(Step((result.findings(),), frame=0))
-    return IndentResult(sample=sample, curves=found, together=together, settings=settings, recording=recorder.summary())
+    return replace(result, recording=recorder.summary())
 
 
 def _of_arrays(given: CurveArrays, name: str) -> IndentCurve:

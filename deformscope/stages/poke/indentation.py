@@ -351,7 +351,7 @@ class _Poke:
             "force gain": sample.gain_sd,
             "drift": self.drift_sd_n / self.peak_n,
             "adhesion": 0.5 * self.pull_n / self.peak_n,
-            "law": LAW_SD,
+            "law": float(np.hypot(LAW_SD, fit.exponent / law.exponent - 1.0)),
         }
         return tuple(ModulusShare(cause, sd) for cause, sd in every.items())
 
