@@ -21,6 +21,7 @@ from deformscope.config import BetaConfig, ThetaConfig
 from deformscope.config.options import command_line
 from deformscope.errors import InputError
 from deformscope.experiments.fit.calibration_inputs import fit_options, images_of
+from deformscope.experiments.fit.found_body import BODY
 from deformscope.page.fit_settings import COMMANDS, IN_PICTURE, images_with, settings_of
 from deformscope.page.fit_source import FitSubject, ImagesSubject, subject_of
 from deformscope.page.server.fit_messages import FitResult, FitSettings, FitState, Points
@@ -59,7 +60,7 @@ class PageFit:
         self._began = settings_of(config, self._images)
         self._seen: tuple[object, Observation, dict[str, object]] | None = None
         self._sent: set[str] = set()
-        self._newest = SetFit(0, 0, self._began)
+        self._newest = SetFit(0, 0, settings_of(config, subject.found or self._images))
         self._each_s = self._shown_s = 0.0
         self._body: tuple[Model, Observation, Msm] | None = None
         self._curve: list[float] = []
@@ -70,7 +71,8 @@ class PageFit:
         self._busy_s = 0.0
         self.config = config
         model = fit_options(config)
-        self.state = FitState(subject.kind, model.model.parameter, self._began, model.bounds, subject.size_px)
+        first = self._newest.settings
+        self.state = FitState(subject.kind, model.model.parameter, first, model.bounds, subject.size_px)
         self._show()
 
     def handle(self, command: PageCommand) -> None:
@@ -255,7 +257,10 @@ class PageFit:
         try:
             seen, _, _ = self._prepared(self.config)
             assert self._seen is not None
-            found = calibrate([seen], fit_options(self.config), settings=self._seen[2], progress=self._note)
+            named = any(getattr(self.config.images, one) is not None for one in BODY)
+            doubts = tuple(one for one in self._subject.doubts if not (named and one.code == "body-unsure"))
+            options = dataclasses.replace(fit_options(self.config), doubts=doubts)
+            found = calibrate([seen], options, settings=self._seen[2], progress=self._note)
             picture = results_png([Result(found.estimate, found.comparisons[-1:], ("",))])
             self._send("file", "fit.png", picture, "image/png")
             self._found = dataclasses.replace(self.config, at=None)
@@ -293,6 +298,9 @@ class PageFit:
         config, began = self._base, self._began
         if any(getattr(asked, name) != getattr(began, name) for name in IN_PICTURE):
             config = dataclasses.replace(config, images=images_with(self._images, asked))
+        elif self._subject.found is not None:  # all of the picture: with no option, the command would find the body
+            roi = (0.0, 0.0, *self._subject.size_px)
+            config = dataclasses.replace(config, images=dataclasses.replace(self._images, roi=roi))
         if asked.cluster_size != began.cluster_size:
             config = dataclasses.replace(config, cluster_size=asked.cluster_size)
         if isinstance(config, BetaConfig):

@@ -13,15 +13,18 @@ from deformscope.config import BetaConfig, ImageOptions, ThetaConfig
 from deformscope.errors import InputError
 from deformscope.experiments.fit.calibration_inputs import images_of, mask_of, opened_images, particle_options, thinned
 from deformscope.experiments.fit.foam_video import last_pose
-from deformscope.file_io import ending_of, read_file
+from deformscope.experiments.fit.found_body import found_in
+from deformscope.file_io import SAMPLE_SCHEME, ending_of, read_file
 from deformscope.files.pairs import parse_pair
 from deformscope.files.sources import Source
 from deformscope.page.fit_settings import picture_of
+from deformscope.stages.fit.estimate import Doubt
 from deformscope.stages.fit.model import Observation
 from deformscope.stages.see.flow import FlowField, FlowStep, flow_onward
 from deformscope.stages.see.follow import Follower
 from deformscope.stages.see.particles import ParticleGrid, Tracked, advance, clean_mask, seed_grid, select_held, start
 
+Doubts = tuple[Doubt, ...]
 MOST_BYTES = 2 << 30
 """Memory limit of the frames and of the stored flow."""
 
@@ -34,13 +37,17 @@ EYE = np.array([[0.87, 0.0], [0.42, -0.3], [0.0, -1.0]])
 class ImagesSubject:
     """A sequence in which particles are followed, a frame at a time. size_px: width, height of its images
 
+    found: options with the body that was found in the images, if none was named; doubts: whether the images suit a fit
     count: number of frames; followed: frames through which the particles were followed so far, the one at rest
     included; frames are taken as they are needed. In small images the particles of any grid follow a stored flow in
     milliseconds; in large ones they are followed from the beginning."""
 
     kind: Literal["images"] = "images"
 
-    def __init__(self, source: Source, frames_of: int | None = None) -> None:
+    def __init__(
+        self, source: Source, frames_of: int | None = None, found: ImageOptions | None = None, doubts: Doubts = ()
+    ) -> None:
+        self.found, self.doubts = found, doubts
         self._frames, self._frames_of = iter(source), frames_of
         self._images = [next(self._frames).image]
         self._flows: list[tuple[FlowField, FlowField]] = []
@@ -127,6 +134,8 @@ class PairSubject:
 
     kind: Literal["pair"] = "pair"
     followed, count, goes_on = 2, 2, False
+    found: ImageOptions | None = None
+    doubts = Doubts()
 
     def __init__(self, config: BetaConfig | ThetaConfig) -> None:
         raw = read_file(config.sources[0], "a pair file (.npz)")
@@ -155,5 +164,12 @@ def subject_of(config: BetaConfig | ThetaConfig, note: Callable[[str], None]) ->
     if ending_of(config.sources[0]) == ".npz":
         return PairSubject(config)
     images = images_of(config)
+    found, doubts = images, Doubts()
+    if not config.sources[0].startswith(SAMPLE_SCHEME):
+        with opened_images(config.sources, images) as source:
+            if config.push.force_frame is not None:
+                source.end_at(config.push.force_frame)
+            found, _, doubts = found_in(source, images, note)
     source = opened_images(config.sources, images).__enter__()  # read until it ends, or this process does
-    return ImagesSubject(source, thinned(source, particle_options(images), config, note).frames_of)
+    frames_of = thinned(source, particle_options(images), config, note).frames_of
+    return ImagesSubject(source, frames_of, found if found != images else None, doubts)

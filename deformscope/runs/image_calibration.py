@@ -16,6 +16,7 @@ from deformscope.config.flags import Selectable, force_n
 from deformscope.errors import InputError
 from deformscope.experiments.fit.calibration_inputs import mask_of, opened_images, particle_options, thinned
 from deformscope.experiments.fit.foam_video import ParticleOptions, foam_video
+from deformscope.experiments.fit.found_body import found_in
 from deformscope.experiments.fit.push_force import PushOptions
 from deformscope.experiments.fit.whole_motion import whole_motion
 from deformscope.file_io import SAMPLE_SCHEME
@@ -27,7 +28,6 @@ from deformscope.pictures.evidence import Result
 from deformscope.recording.recorder import Recorder
 from deformscope.runs.calibration_result import CalibrationResult
 from deformscope.runs.force_log import force_file, read_force
-from deformscope.runs.found_body import found_in
 from deformscope.runs.result import Note, open_recorder
 from deformscope.session import run
 from deformscope.stages.fit.calibrate import FitOptions

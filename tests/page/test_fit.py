@@ -38,6 +38,7 @@ from tests.page.pages import page_script
 from tests.patience import PATIENCE_S
 from tests.stages import reference_states
 from tests.stages.bodies import pushed
+from tests.stages.see.scenes import Scene, render
 
 
 @pytest.fixture
@@ -235,6 +236,33 @@ def test_frames_that_came_are_a_result_until_more_come(frames: Path, monkeypatch
         ("frame 3 of 3", "frame3.jpg", True),
         ("", "frame3.jpg", True),
     ]
+
+
+@pytest.mark.slow
+def test_the_body_that_is_found_is_proposed_and_may_be_changed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = Scene(frames=4)
+    for index, image in enumerate(render(scene)):
+        cv2.imwrite(str(tmp_path / f"{index}.png"), image)
+    with watched(beta_of(tmp_path)) as one:
+        began = one.until(lambda fit: fit.aee is not None and not fit.busy)
+        assert began.settings.outline
+        assert set(began.settings.held) == {"bottom", "contact"}
+        left, _, wide, _ = began.settings.contact
+        assert (left, wide) == (pytest.approx(scene.tool[0], abs=4), pytest.approx(scene.tool[1], abs=8))
+        one.fitting.handle(RunFit(0))
+        shown = one.until(lambda fit: fit.found is not None)
+        one.set(1, held=("bottom",))  # nothing of what was found
+        whole = one.until(lambda fit: fit.number == 1 and not fit.busy)
+        one.set(2)  # as the command begins: all of the picture
+        plain = one.until(lambda fit: fit.number == 2 and not fit.busy)
+    found = typed(shown.command, capsys)
+    assert (found["settings"]["at"]["aee"], found["settings"]["held"]) == (shown.aee, len(shown.held))
+    assert [found["value"], *found["interval"]] == [shown.found.value, shown.found.low, shown.found.high]
+    assert found["verdict_text"] == shown.found.verdict
+    for state in (whole, plain):
+        assert typed(state.command, capsys)["settings"]["at"]["aee"] == state.aee
 
 
 def test_one_frame_alone_is_said(frames: Path) -> None:

@@ -256,7 +256,7 @@ export function startFitting(session, say) {
       pen.fillRect(0, 0, width, height);
     }
     drawParticles(pen, scale);
-    if (showing === "rest" || drag || tool === "outline") {
+    if (showing === "rest" || drag || tool === "outline" || fit.busy) {
       drawRegion(pen, scale);
     }
   }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from contextlib import suppress
 
 import numpy as np
@@ -10,17 +11,18 @@ import numpy as np
 from deformscope.config import ImageOptions
 from deformscope.errors import InputError
 from deformscope.files.sources import Source
-from deformscope.runs.result import Note
 from deformscope.stages.fit.estimate import Doubt
 from deformscope.stages.see.find_body import FoundBody, find_body
 from deformscope.stages.see.particles import clean_mask, outlined, seed_grid, select_held
 
+BODY = ("roi", "mask", "outline", "held", "contact")
+"""Options that name the body, any of them."""
 LOOKED_AT = 7
 """Number of frames, evenly spread, in which the body is sought."""
 
 
 def found_in(
-    source: Source, images: ImageOptions, note: Note
+    source: Source, images: ImageOptions, note: Callable[[str], None]
 ) -> tuple[ImageOptions, dict[str, object], tuple[Doubt, ...]]:
     """The options with the body that is found in the images, if none is named; what was found, for the record; and the
     doubts. Raises InputError for images of two scenes."""
@@ -31,8 +33,7 @@ def found_in(
     if other := next((one for one in body.unfit if one.code in ("scene-cut", "mirrored")), None):
         raise InputError("images of one scene", other.text, "leave out what is before or after it", source.name)
     doubts = [Doubt("unfit-images", one.text, "weak") for one in body.unfit if one.lowers]
-    named = (images.roi, images.mask, images.outline, images.held, images.contact)
-    if any(one is not None for one in named):
+    if any(getattr(images, one) is not None for one in BODY):
         return images, {}, tuple(doubts)
     body = _usable(body, images, seen[0].shape)
     if body.doubts:
