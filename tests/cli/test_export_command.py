@@ -38,6 +38,7 @@ def beta(capfd: pytest.CaptureFixture[str], *arguments: object) -> dict[str, Any
     return found
 
 
+@pytest.mark.slow
 def test_beta_of_a_cameras_recorded_images_is_that_of_the_exported_ones(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -131,10 +131,7 @@ BEGUN = {"adjust": "viewer: ", "page": "viewer: ", "record": "recording into", "
 
 @pytest.mark.parametrize(
     ("name", "number"),
-    slow_but(
-        [("adjust", signal.SIGTERM), ("record", signal.SIGTERM)],
-        itertools.product(COMMANDS, (signal.SIGTERM, signal.SIGHUP)),
-    ),
+    slow_but([("record", signal.SIGTERM)], itertools.product(COMMANDS, (signal.SIGTERM, signal.SIGHUP))),
 )
 def test_a_request_to_end_is_heard(tmp_path: Path, name: str, number: signal.Signals) -> None:
     rig = tmp_path / "rig.toml"

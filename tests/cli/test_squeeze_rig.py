@@ -117,6 +117,7 @@ def test_ctrl_c_while_it_squeezes(rig: Path, capsys: Capture, monkeypatch: Patch
     kept_as_discarded(made[0], found, "a person asked: Ctrl-C")
 
 
+@pytest.mark.slow
 def test_a_hand_that_is_lost_while_it_squeezes(rig: Path, capsys: Capture, monkeypatch: Patch) -> None:
     def lose(lab: SimulatedSqueezeRig) -> None:
         hand = lab.lab.simulated.hand

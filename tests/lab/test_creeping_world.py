@@ -39,6 +39,7 @@ def test_a_dent_that_is_held_relaxes_as_the_material_does_and_recovers_slowly() 
     assert dents[2] > -1e-5
 
 
+@pytest.mark.slow
 def test_foam_that_does_not_relax_is_the_elastic_one() -> None:
     world, elastic = CreepingWorld(SCENE, Relaxation()), SlabWorld(SCENE)
     for time_s, center_m in ((0.1, PRESSED_M), (0.2, 0.5 * (PRESSED_M + REST_M)), (0.3, PRESSED_M)):

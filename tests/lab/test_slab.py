@@ -19,6 +19,7 @@ def test_a_deep_slab_is_nearly_a_half_space() -> None:
     assert half_space < found.force < 1.15 * half_space
 
 
+@pytest.mark.slow
 def test_a_wide_tip_on_a_thin_slab_is_a_column() -> None:
     """Far from the tip's edge the strain is uniaxial: modulus E (1 - nu) / ((1 + nu) (1 - 2 nu))."""
     found = press(THIN, MIDDLE, RigidTip((0.08, 0.08), bonded=True), THIN.grid(0.05), depth=0.001, finest=0.01)

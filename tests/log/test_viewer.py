@@ -56,6 +56,7 @@ def viewer() -> Iterator[ViewerClient]:
         pytest.skip(f"no headless viewer: {error}")
 
 
+@pytest.mark.slow
 def test_calibration_of_images(tmp_path: Path, viewer: ViewerClient) -> None:
     path = tmp_path / "run.rrd"
     with open_source(["sample:tension"]) as source, Recorder(path) as made:

@@ -13,6 +13,7 @@ from deformscope.experiments.squeeze.tracking import container_model
 from deformscope.rig.sections import ContainerSection
 from deformscope.robot import mesh_files
 from deformscope.robot.mesh_files import MESH_ENDINGS, Mesh, read_meshes
+from tests.cases import slow_but
 
 MUTATIONS = 40
 """Of each kind of file."""
@@ -77,7 +78,7 @@ def read(path: Path) -> Mesh | str:
     return found
 
 
-@pytest.mark.parametrize("ending", MESH_ENDINGS)
+@pytest.mark.parametrize("ending", slow_but([".stl", ".obj"], MESH_ENDINGS))
 def test_a_mesh_is_read_as_open3d_reads_it(tmp_path: Path, ending: str) -> None:
     path = written(tmp_path / f"cube{ending}")
     there = o3d.io.read_triangle_mesh(path)

@@ -125,6 +125,7 @@ def test_a_touch_whose_energy_is_asked_for_leaves_as_slowly_as_it_came() -> None
         assert velocity == pytest.approx([0.0, 0.0, speed_m_s])
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_touch(foam: tuple[FaultScene, TouchRecord]) -> None:
     (_, one), (_, other) = foam, touched(5, 60e3, "sphere", 0.0)
     assert np.array_equal(one.force_n, other.force_n)

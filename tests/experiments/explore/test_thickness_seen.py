@@ -19,7 +19,7 @@ from deformscope.robot.setup import CameraView
 from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement
 from deformscope.stages.poke.contact import ArmCompliance
 from studies.reproduce.surface_robot import LabRobot
-from tests.cases import Patch
+from tests.cases import Patch, slow
 from tests.cli.quick_scene import use_coarse_maps
 
 UNSTATED = ExploreOptions(beta_model="none", thickness_stated=False, seed=1000)
@@ -43,7 +43,7 @@ def seen(scene: Scene, hidden: bool) -> SurfaceMeasurement:
     return geometry.surface(Looked(used, data), UNSTATED)
 
 
-@pytest.mark.parametrize("name", ["homogeneous-60", "wedge"])
+@pytest.mark.parametrize("name", ["homogeneous-60", slow("wedge")])
 def test_thickness_is_taken_from_the_table_beside_the_foam(name: str) -> None:
     scene = built_in(name, 1000)
     surface = UnseenSurface(scene.size_m, UNSTATED, ArmCompliance()).look(seen(scene, hidden=False)).surface.estimate

@@ -289,7 +289,8 @@ def test_theta_gives_its_setting_and_is_not_identified_where_the_model_misfits()
     assert codes(same.reasons) == ["setting"]
 
 
-@pytest.mark.parametrize("kind", ["two-materials", slow("axes-swapped")])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["two-materials", "axes-swapped"])
 def test_both_name_what_one_does(kind: str) -> None:
     seen = seen_sheet((0.2, 0.8)) if kind == "two-materials" else swapped(seen_sheet(0.6))
     found, _ = calibrate_both([seen], JointOptions())

@@ -106,6 +106,7 @@ def test_a_tool_that_is_off_is_no_reason_to_blame_single_particles_where_registr
     assert unsure.interval[0] <= 0.6 <= unsure.interval[1]
 
 
+@pytest.mark.slow
 def test_what_details_show_of_a_tool_that_is_right_narrows_the_interval() -> None:
     """Nearly clean data, whose misfit outweighs noise and is a hundredth of what tool and camera may be off by, tell
     more than data with white noise of a quarter of that."""

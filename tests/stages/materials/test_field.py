@@ -78,6 +78,7 @@ def test_one_material_that_is_stiffer_along_a_direction_is_one_material() -> Non
     assert dict(zip(estimate.tried, estimate.plausible, strict=True))["one material, anisotropic"]
 
 
+@pytest.mark.slow
 def test_a_camera_that_drifts_makes_no_field() -> None:
     estimate = found(own_plate(isotropic(0.3), "shear", camera=True, seed=2))
     assert estimate.verdict in ("uniform", "unidentified")

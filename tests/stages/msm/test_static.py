@@ -121,6 +121,7 @@ def test_pressed_bodies_with_eq_3_17_converge_or_say_that_they_did_not(
     assert _left(press, found, found.converged, "scale").max() < 1e-9 * engine.extent
 
 
+@pytest.mark.slow
 def test_second_beginnings_have_the_iterations_that_they_need(device: str) -> None:
     """Bodies at beta .95 and .99, which come to their state slowly: each converges, or runs away and says so."""
     press = _press(*PRESSED[3])

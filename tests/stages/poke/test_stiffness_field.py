@@ -127,6 +127,7 @@ def test_a_surface_is_of_one_kind_whatever_its_size(kind: str, size_m: float) ->
         np.testing.assert_allclose(field.at(wanted), 20.0 * np.exp([0.48, 0.72]), rtol=0.1)
 
 
+@pytest.mark.slow
 def test_scatter_from_poke_to_poke_is_learned() -> None:
     at = places(16, 1)
     widths = []

@@ -93,6 +93,7 @@ def test_what_a_model_says_while_the_squeeze_goes_on_is_checked_at_each_time() -
         assert one.debiased.interval[0] == 0.0 <= one.debiased.value < one.debiased.interval[1]  # nothing beyond chance
 
 
+@pytest.mark.slow
 def test_answers_that_are_too_sure_have_a_calibration_error_that_shows() -> None:
     table = stepped(75, seed=2)
     random = np.random.default_rng(0)

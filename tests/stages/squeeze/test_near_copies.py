@@ -84,6 +84,7 @@ def without_groups(seed: int) -> tuple[Evaluation, float]:
     return found, float((posterior.argmax(axis=1) == label).mean())
 
 
+@pytest.mark.slow
 def test_without_groups_the_interval_for_another_container_comes_first_and_holds() -> None:
     found, truth = without_groups(2000)
     low, high = found.best.accuracy.interval
