@@ -8,6 +8,7 @@ import difflib
 import importlib
 import sys
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 
 from deformscope.cli import guarded, with_flags
@@ -20,6 +21,7 @@ def main(args: Sequence[str] | None = None) -> int:
     return guarded(_dispatch, list(sys.argv[1:] if args is None else args))
 
 
+@cache
 def summaries() -> dict[str, str]:
     """The first sentence of each study's file, by the study's name. None is imported for it."""
     found, folder = {}, Path(__file__).parent

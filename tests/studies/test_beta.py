@@ -7,6 +7,7 @@ from studies.random_bodies import Outcome
 from studies.theta import SIDES, try_setting
 
 
+@pytest.mark.slow
 def test_wrong_tracks_are_counted_against_those_left_out() -> None:
     found = [try_disturbed(DisturbedCase("10 % outliers", number, seed=1000)) for number in range(4)]
     (row,) = disturbed_rows(found)

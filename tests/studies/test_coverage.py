@@ -45,7 +45,8 @@ def test_the_truths_are_static_states_of_the_reference() -> None:
     np.testing.assert_allclose(body.deform(0.7), expected, atol=1e-9)
 
 
-@pytest.mark.parametrize("kind", slow_but(["noise alone"], NOTHING))
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", NOTHING)
 def test_data_without_information_are_called_unidentified(kind: random_bodies.Nothing) -> None:
     verdicts = [random_bodies.try_nothing(NothingCase(kind, number, seed=5)) for number in range(8)]
     assert verdicts.count("unidentified") >= 7

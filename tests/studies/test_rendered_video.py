@@ -27,6 +27,7 @@ from studies.rendered_video import (
     render,
     write,
 )
+from tests.cases import slow
 
 SMALL = {"width_px": 320, "height_px": 240, "frames": 6, "rest": 2, "ramp": 4}
 CLEAN = {"shadow": 0.0, "flicker": 0.0, "noise": 0.0, "hand": False}
@@ -91,6 +92,7 @@ def test_the_place_at_rest_of_a_moved_point_is_found_again() -> None:
     np.testing.assert_allclose(motion.rest_of(seen, seen, 1e-10), rest, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_between_the_balanced_depths_a_block_moves_as_the_elements_do() -> None:
     made = VideoCase(0, push=0.2)
     deepest = 0.2 * made.size_m[1]
@@ -114,7 +116,7 @@ def misplaced(before: np.ndarray, after: np.ndarray, place: np.ndarray, expected
     return np.stack([np.linalg.lstsq(slope[:, one], off[:, one])[0] for one in range(off.shape[1])])
 
 
-@pytest.mark.parametrize("affine", [True, False])
+@pytest.mark.parametrize("affine", [slow(True), False])
 def test_a_known_motion_is_rendered_to_a_hundredth_of_a_pixel(affine: bool) -> None:
     made = dataclasses.replace(case(2000), **CLEAN, shake_px=0.0, height_px=320, width_px=480, fill=0.7)
     scene = Scene(made)
@@ -138,6 +140,7 @@ def test_a_known_motion_is_rendered_to_a_hundredth_of_a_pixel(affine: bool) -> N
     assert np.abs(misplaced(grey[0], grey[1], place, expected)).max() < 0.01
 
 
+@pytest.mark.slow
 def test_a_case_gives_the_same_images_and_other_seeds_others() -> None:
     one, again, other = (render(case(seed, **SMALL)) for seed in (2001, 2001, 2004))
     assert all((a == b).all() for a, b in zip(one.frames, again.frames, strict=True))
@@ -162,6 +165,7 @@ def test_the_truth_of_each_holding_fits_its_images(seed: int) -> None:
     assert changed[y : y + height, x : x + width].mean() > 0.1
 
 
+@pytest.mark.slow
 def test_the_camera_is_moved_by_a_hand_and_its_truth_follows() -> None:
     video = render(case(2000, **SMALL, **CLEAN, shake_px=2.0))
     still = render(case(2000, **SMALL, **CLEAN, shake_px=0.0))

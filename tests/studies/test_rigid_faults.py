@@ -26,7 +26,7 @@ def test_a_sensor_that_feels_wrongly_is_refused_before_anything_moves(fault: Sen
     assert found.max_force_n == 0.0
 
 
-@pytest.mark.parametrize("fault", [SensorFault.FROZEN, SensorFault.STUCK])
+@pytest.mark.parametrize("fault", [SensorFault.FROZEN, slow(SensorFault.STUCK)])
 def test_a_sensor_that_freezes_stops_the_arm_before_it_meets_anything(fault: SensorFault) -> None:
     found = run(KUKA, fault, 1e5)
     assert "force sensor frozen" in found.ended or "the same force" in found.ended
@@ -38,7 +38,7 @@ def test_a_sensor_that_freezes_stops_the_arm_before_it_meets_anything(fault: Sen
     [
         *(slow(SensorFault.RIGHT, n_m) for n_m in (5e3, 2e4, 1e5)),
         slow(SensorFault.HIGHER, 2e4),
-        (SensorFault.HIGHER, 1e5),
+        slow(SensorFault.HIGHER, 1e5),
     ],
 )
 def test_a_sensor_that_is_right_touches_something_rigid_below_the_hard_stop(
@@ -79,7 +79,8 @@ def test_a_sensor_that_fails_in_a_touch_is_noticed_by_force_and_depth(
     assert found.ended.startswith("stopped: ") or when is Phase.RETREAT
 
 
-@pytest.mark.parametrize("fault", [SensorFault.DEAD, slow(SensorFault.SATURATED), slow(SensorFault.SCALE)])
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", [SensorFault.DEAD, SensorFault.SATURATED, SensorFault.SCALE])
 def test_joint_torques_stop_an_arm_whose_sensor_is_wrong(fault: SensorFault) -> None:
     found = run(JACO, fault)
     assert found.ended.startswith("stopped: joint")

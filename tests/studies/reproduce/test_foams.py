@@ -34,6 +34,7 @@ def test_flow_and_truth_agree_on_beta(seen: foam_fits.FoamResult) -> None:
         assert true.converged
 
 
+@pytest.mark.slow
 def test_every_way_of_fitting_holds_what_it_says(seen: foam_fits.FoamResult) -> None:
     for fit in seen.fits:
         shape = fit.calibration.comparisons[0]
@@ -42,6 +43,7 @@ def test_every_way_of_fitting_holds_what_it_says(seen: foam_fits.FoamResult) -> 
         assert len(shape.held) - len(top) == COARSE.grid[1]  # all of the ground
 
 
+@pytest.mark.slow
 def test_force_gives_the_models_stiffness(seen: foam_fits.FoamResult) -> None:
     for fit in seen.fits:
         reported = fit.calibration.estimate.stiffness
