@@ -20,6 +20,7 @@ def drawn(job: SqueezeJob) -> TrialRow:
     return TrialRow(TrialEntry(str(job.seed), job.content, job.container, session=job.session), features, series)
 
 
+@pytest.mark.slow
 def test_new_cartons_are_named_at_each_time(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(contents, "run_squeeze", drawn)
     monkeypatch.setattr(model_check, "DRAWS", 200)

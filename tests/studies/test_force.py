@@ -58,6 +58,7 @@ def test_what_a_poke_meets_beside_a_border_is_that_of_finite_elements(aside: flo
     np.testing.assert_allclose(swapped.apparent(np.array([at])), apparent(drawn, np.array([at])))
 
 
+@pytest.mark.slow
 def test_a_fast_slab_is_fitted_and_its_other_half_predicted() -> None:
     (found,) = try_slab((ForceCase("halves", 1003, scatter=0.03),))
     assert found.field == "materials"

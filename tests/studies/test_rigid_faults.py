@@ -49,7 +49,8 @@ def test_a_sensor_that_is_right_touches_something_rigid_below_the_hard_stop(
     assert found.max_force_n < 8.0
 
 
-@pytest.mark.parametrize("stiffness_n_m", [5e3, slow(2e4), slow(1e5)])
+@pytest.mark.slow
+@pytest.mark.parametrize("stiffness_n_m", STIFFNESSES_N_M)
 def test_motor_currents_stop_an_arm_whose_sensor_dies_on_its_way_down(stiffness_n_m: float) -> None:
     seen = run(CURRENTS, SensorFault.DIES, stiffness_n_m)
     assert "the motor of joint" in seen.ended

@@ -8,7 +8,6 @@ import pytest
 from deformscope.stages.squeeze.evaluation import Evaluation, EvaluationOptions, evaluate
 from deformscope.stages.squeeze.table import LabelledTable
 from studies.reproduce.container_findings import HARDNESS, compare_findings
-from tests.cases import slow
 
 FEW = EvaluationOptions(splits=16, curve_splits=0, protocols=("stratified",))
 
@@ -27,7 +26,8 @@ def evaluated(*, blind: bool = False) -> tuple[Evaluation, Evaluation]:
     return evaluate(table, FEW), evaluate(three, FEW)
 
 
-@pytest.mark.parametrize("blind", [slow(False), True])
+@pytest.mark.slow
+@pytest.mark.parametrize("blind", [False, True])
 def test_vision_is_best_for_water_where_it_is(blind: bool) -> None:
     ours = {one.thesis: one.ours for one in compare_findings(*evaluated(blind=blind))}
     water = ours["Vision is most informative for water."]
