@@ -18,7 +18,7 @@ from deformscope.pictures.close_up import CloseUp, close_up
 from deformscope.pictures.figures import canvas, png_of
 from deformscope.pictures.palette import HELD, OBSERVED, REST, SIMULATED, hexadecimal, readable, round_up
 from deformscope.stages.fit.distance import distances
-from deformscope.stages.fit.estimate import Comparison, Estimate
+from deformscope.stages.fit.estimate import Comparison, Estimate, PushCurve
 from deformscope.stages.see.triangulation import spacing_of, triangulate
 
 if TYPE_CHECKING:
@@ -103,6 +103,17 @@ def evidence_png(estimate: Estimate) -> bytes:
     """The error over the parameter, and below it, on the same axis, the posterior."""
     figure = canvas(8.0, 5.6, layout="constrained")
     _draw_evidence(figure, figure.add_gridspec(5, 1), estimate, size=13)
+    return png_of(figure, 130)
+
+
+def force_png(curve: PushCurve) -> bytes:
+    """Force over depth."""
+    figure = canvas(8.0, 4.0, layout="constrained")
+    axes = figure.add_subplot()
+    axes.plot(1e3 * curve.depth_m, curve.force_n, "o-", color=WORDS, markersize=4)
+    axes.set_xlabel("depth of the contact [mm]")
+    axes.set_ylabel("force [N]")
+    axes.grid(alpha=0.3)
     return png_of(figure, 130)
 
 

@@ -1,6 +1,7 @@
 """A force with a video: stiffness at the contact and modulus of a block whose truth is known."""
 
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import pytest
 
 import deformscope as ds
 from deformscope.arrays import FloatArray, ImageArray
+from deformscope.runs.calibration_report import calibration_page
 from tests.experiments.speckle_video import speckle_images
 from tests.stages.materials.test_plane_modulus import uniaxial
 
@@ -26,7 +28,8 @@ def force_n(depth: float) -> float:
     return -uniaxial(1.0 - depth, RATIO, "stress")[1] * MODULUS_PA * THICKNESS_M * 0.01 * WIDE / PX_PER_CM
 
 
-def video(depths: Sequence[float] = DEPTHS, shift_px: float = 0.0) -> list[ImageArray]:
+@cache
+def video(depths: tuple[float, ...] = DEPTHS, shift_px: float = 0.0) -> list[ImageArray]:
     """A block, pressed evenly by shares of its height from above, its bottom on the lower edge. shift_px: of a camera
     that falls by this in each frame"""
     x, y = np.meshgrid(np.linspace(0.0, WIDE, COLUMNS), np.linspace(0.0, HIGH, ROWS))
@@ -163,7 +166,7 @@ FPS = 10.0
 
 
 def ramp() -> list[ImageArray]:
-    return video([0.12 * float(np.clip((t - 0.5) / 1.0, 0.0, 1.0)) for t in np.arange(1, 19) / FPS])
+    return video(tuple(0.12 * float(np.clip((t - 0.5) / 1.0, 0.0, 1.0)) for t in np.arange(1, 19) / FPS))
 
 
 @pytest.mark.parametrize(("offset_s", "rate_hz", "unit"), [(0.0, 50.0, "N"), (3.3, 23.0, "g")])
@@ -178,6 +181,8 @@ def test_a_log_finds_its_offset_by_the_motion(tmp_path: Path, offset_s: float, r
     curve = shown["force_curve"]
     assert len(curve["depth_m"]) == len(curve["force_n"]) > 10
     assert curve["force_n"][-1] == pytest.approx(force_n(0.12), rel=0.05)
+    page = calibration_page([one.shown], seed=0, settings=one.settings)
+    assert "Force over the depth of the contact" in page
 
 
 @pytest.mark.parametrize(
