@@ -63,6 +63,9 @@ class SummaryOptions(Flags):
     picture: flags.PictureFlag = None
     """Draw particles, the model's error at each, error curve and posterior in one picture. An existing file is
     replaced."""
+    setup_picture: flags.PictureFlag = None
+    """Draw region, held parts and contact, the given or the found ones, on the first image. An existing file is
+    replaced."""
     report: flags.ReportFlag = None
     """Write the whole result, with pictures, settings and provenance, as one HTML page without other files. An existing
     file is replaced."""

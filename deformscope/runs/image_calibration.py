@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,15 +17,16 @@ from deformscope.config.flags import Selectable, force_n
 from deformscope.errors import InputError
 from deformscope.experiments.fit.calibration_inputs import mask_of, opened_images, particle_options, thinned
 from deformscope.experiments.fit.foam_video import ParticleOptions, foam_video
-from deformscope.experiments.fit.found_body import found_in
+from deformscope.experiments.fit.found_body import Draw, found_in
 from deformscope.experiments.fit.push_force import PushOptions
 from deformscope.experiments.fit.whole_motion import whole_motion
-from deformscope.file_io import SAMPLE_SCHEME
+from deformscope.file_io import SAMPLE_SCHEME, replacing
 from deformscope.files.sources import DEFAULT_FPS, Source, alike
 from deformscope.frames import ColorFrame, InputFile
 from deformscope.images import encode_png
 from deformscope.log.layout import IMAGES
 from deformscope.pictures.evidence import Result
+from deformscope.pictures.found_body import found_png
 from deformscope.recording.recorder import Recorder
 from deformscope.runs.calibration_result import CalibrationResult
 from deformscope.runs.force_log import force_file, read_force
@@ -33,6 +35,7 @@ from deformscope.session import run
 from deformscope.stages.fit.calibrate import FitOptions
 from deformscope.stages.fit.search import Progress
 from deformscope.stages.materials.press_cycle import PressForce
+from deformscope.stages.see.find_body import FoundBody
 from deformscope.stages.see.particles import clean_mask
 from deformscope_drivers.clock import Stamp
 
@@ -62,7 +65,7 @@ def calibrate_images(
         with opened() as source:
             if config.push.force_frame is not None:
                 source.end_at(config.push.force_frame)
-            images, found, doubts = found_in(source, images, note)
+            images, found, doubts = found_in(source, images, note, _drawn_to(config.summary.setup_picture))
         fit = dataclasses.replace(fit, doubts=doubts, found=found)
     particles = particle_options(images, config.search.noise_px)
     masked = images.mask is not None or images.outline is not None
@@ -86,6 +89,17 @@ def _push_of(flags: PushFlags) -> tuple[PushOptions | None, PressForce | None]:
     known = {one: force_n(text) for one, text in (("force_n", flags.force), ("force_sd_n", flags.force_sd)) if text}
     push = PushOptions(**flags.shared(PushOptions) | known)
     return push, read_force(flags) if push.force_n is None else None
+
+
+def _drawn_to(path: Path | None) -> Draw | None:
+    """Draws what is fitted of the images to a file, if there is one."""
+
+    def draw(image: ImageArray, body: FoundBody, text: str) -> None:
+        if path is not None:
+            with replacing(path) as file:
+                file.write(found_png(image, body, text))
+
+    return None if path is None else draw
 
 
 def _given_images(given: Sequence[ImageArray], images: ImageOptions) -> Source:

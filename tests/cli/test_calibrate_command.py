@@ -389,3 +389,18 @@ def test_two_scenes_are_one_line(pressed: Path, tmp_path: Path, capsys: Capture)
         image = cv2.imread(str(file))
         cv2.imwrite(str(tmp_path / f"{index}.png"), image if index < 3 else image[:, ::-1])
     assert "expected images of one scene" in failure(["calibrate", "beta", str(tmp_path)], capsys)
+
+
+@pytest.mark.parametrize("named", [[], ["--roi", "110,120,240,170"]], ids=["found", "named"])
+def test_the_setup_is_drawn_on_the_first_image(
+    named: list[str], pressed: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    drawn = tmp_path / "setup.png"
+    run_json(["calibrate", "beta", str(pressed), "--grid", "6x5", *named, "--setup-picture", str(drawn)], capsys)
+    picture = cv2.imread(str(drawn)).astype(int)
+    green = np.abs(picture - (115, 158, 0)).max(axis=2) < 30  # the outline's colour, as OpenCV orders it
+    rows, columns = np.nonzero(green)
+    wide = np.ptp(columns[rows > picture.shape[0] // 3])
+    assert wide / picture.shape[1] == pytest.approx(240 / 480, abs=0.06)
+    contact = np.count_nonzero(np.abs(picture - (167, 121, 204)).max(axis=2) < 30)
+    assert (contact > 100) is not bool(named)

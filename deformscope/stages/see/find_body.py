@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, Literal
 
 import cv2
@@ -29,7 +30,7 @@ largest distance between it and its place after flow there and back [px of the s
 BACKGROUND_PX = 0.4
 """Largest residual of a pixel that moves with the background [px of the small image]."""
 
-RIGID_PX, RIGID = 0.5, 0.05
+RIGID_PX, RIGID = 0.5, 0.1
 """Largest residual of a pixel that moves with a tool [px of the small image], or as a share of its motion."""
 
 BACKGROUND = 0.6
@@ -37,6 +38,10 @@ BACKGROUND = 0.6
 
 STILL_PX = 0.5
 """Motion beyond the background [px of the small image] below which nothing moves."""
+
+ENTERS, UNLIKE = 0.7, 1.0
+"""Least share of what moves at a side of the picture that follows the tool; least distance of its colour from the
+body's, in deviations: another part of the body has the same colour."""
 
 SMALLEST = 0.002
 """Least size of a tool as a share of the picture."""
@@ -61,7 +66,7 @@ second; between them it is not sure."""
 EDGE_PX, INNER = 3, 0.15
 """Depths below a side at which motions are compared [px of the small image; share of the body's size]."""
 
-AGREES, SURE = 0.85, 0.5
+AGREES, SURE = 0.8, 0.5
 """Overlap of two segmentations at which the region is as likely wrong; least confidence of a sure choice."""
 
 ZOOMS, BENDS_PX, MOVES = 0.01, 0.35, 0.03
@@ -103,8 +108,7 @@ class FoundBody:
     held: sides and `contact`; contact: the tool's footprint; tool: (n, 2) outline of a second thing that moves
     confidence: 0 to 1, for each of region, held and contact; unfit: what makes the images unfit
     doubts: what is not sure, and the flag that says it
-    background: (images - 1, 2, 3) motion of the background from the first image [px]: shift, turn and zoom
-    found: whether a body was found that is not the whole image"""
+    background: (images - 1, 2, 3) motion of the background from the first image [px]: shift, turn and zoom"""
 
     outline: FloatArray | None = None
     held: tuple[HeldGroup, ...] = ("top", "bottom")
@@ -153,7 +157,8 @@ class _Motion:
 
     flow: (n, h, w, 2) [px]; known: (n, h, w) where it counts; away: (n, h, w) length of its part beyond the background
     [px]; shown: (n, h, w) where it explains the image better than the background's motion does; fits: (n, 2, 3) that
-    motion; rim: share of the textured rim that moves with it; limit: residual up to which a pixel moves with it [px]"""
+    motion; rim: share of the textured rim that moves with it; most: the largest motion beyond it, limit: residual up to
+    which a pixel moves with it [px]"""
 
     flow: FloatArray
     known: BoolArray
@@ -161,6 +166,7 @@ class _Motion:
     shown: BoolArray
     fits: FloatArray
     rim: float
+    most: float
     limit: float
 
 
@@ -182,30 +188,27 @@ def find_body(images: Sequence[ImageArray]) -> FoundBody:
     motion = _motion(shades, flows)
     if motion.rim < BACKGROUND:  # a camera that turns, or a stabilised picture
         loose = _motion(shades, flows, 4.0)
-        motion = (
-            loose if loose.rim >= BACKGROUND and _largest_motion(loose.away, loose.known) > 5 * loose.limit else motion
-        )
-    most = _largest_motion(motion.away, motion.known)
+        motion = loose if loose.rim >= BACKGROUND and loose.most > 5 * loose.limit else motion
     background = motion.fits.copy()
     background[:, :, 2] /= scale
-    if most < STILL_PX:
-        text = f"nothing moves: {most / scale:.2g} px at most beyond the background"
+    if motion.most < STILL_PX:
+        text = f"nothing moves: {motion.most / scale:.2g} px at most beyond the background"
         return FoundBody(unfit=(ImageFault("still", text, lowers=False),), background=background)
     region, tool, agree = _region(small[0], shades[0], motion)
     still = motion.rim >= BACKGROUND
     unfit = tuple(_unfit(motion, ~_grown(region | tool, 9), scale)) if still else ()
     if region.all():
-        unsure = () if agree >= SURE else ("region (--outline or --roi)",)
+        unsure = () if agree >= AGREES else ("region (--outline or --roi)",)
         return FoundBody(unfit=unfit, background=background, doubts=unsure)
     share = _share_of_motion(motion)
     contact, side, driven, in_contact = _contact(region, tool, share) if still else (None, None, None, 1.0)
     held, in_held = _held(region, share, side, still)
-    parts: tuple[HeldGroup, ...] = (
-        *held,
-        *(() if driven is None else (driven,)),
-        *(() if contact is None else ("contact",)),
-    )
-    confidence = {"region": agree, "held": in_held, "contact": in_contact}
+    pushed: HeldGroup | None = "contact" if contact is not None else driven
+    parts: tuple[HeldGroup, ...] = held if pushed is None or pushed in held else (*held, pushed)
+    in_region = max(0.0, 1.0 - (1.0 - agree) * SURE / (1.0 - AGREES))
+    if still and any(0.02 < _cut_off(one, region, share) < 0.5 for one in SIDES):
+        in_region *= SURE  # a tool that passes for a part of the body
+    confidence = {"region": in_region, "held": in_held, "contact": in_contact}
     flag = {"region": "--outline or --roi", "held": "--held", "contact": "--contact"}
     doubts = tuple(f"{name} ({flag[name]})" for name, one in confidence.items() if one < SURE)
     outline = (polygon(region) + 0.5) / scale - 0.5
@@ -331,9 +334,10 @@ def _motion(shades: Sequence[Any], flows: Sequence[FloatArray], slack: float = 1
         left, left_still = (_blur((_follow(detail, one) - details[0]) ** 2, 2.0) for one in (flow, carried))
         each.append((known, np.linalg.norm(flow - carried, axis=2), left < 0.5 * left_still, fit))
     known, away, shown, fits = (np.stack(one) for one in zip(*each, strict=True))
-    limit = slack * float(np.clip(0.06 * _largest_motion(away, known), 0.15, 0.5))
+    most = _largest_motion(away, known)
+    limit = slack * float(np.clip(0.06 * most, 0.15, 0.5))
     share = float(np.median([_spread(one < limit, seen & rim) for one, seen in zip(away, known, strict=True)]))
-    return _Motion(np.stack(flows), known, away, shown, fits, share, limit)
+    return _Motion(np.stack(flows), known, away, shown, fits, share, most, limit)
 
 
 def _rim(size: tuple[int, ...], share: float) -> BoolArray:
@@ -368,9 +372,8 @@ def _unfit(motion: _Motion, background: BoolArray, scale: float) -> list[ImageFa
     zooms = np.hypot(motion.fits[:, 0, 0], motion.fits[:, 1, 0]) - 1.0
     most = int(np.abs(zooms).argmax())
     if abs(zooms[most]) > ZOOMS:
-        found.append(
-            ImageFault("zoom", f"the picture grows by {zooms[most]:+.1%}: the focus or the camera's distance changes")
-        )
+        text = f"the picture grows by {zooms[most]:+.1%}: the focus or the camera's distance changes"
+        found.append(ImageFault("zoom", text))
     middle = np.array([width / 2, height / 2])
     shifts = np.linalg.norm(motion.fits[:, :, :2] @ middle + motion.fits[:, :, 2] - middle, axis=1)
     if shifts.max() > MOVES * max(height, width):
@@ -389,11 +392,8 @@ def _unfit(motion: _Motion, background: BoolArray, scale: float) -> list[ImageFa
         text = f"the camera turns out of the picture's plane: {alike / scale:.1f} px beyond shift, turn and zoom"
         found.append(ImageFault("out-of-plane", text))
     elif flat > BENDS_PX:
-        found.append(
-            ImageFault(
-                "warped", f"the background bends by {flat / scale:.1f} px: image stabilisation, or a rolling shutter"
-            )
-        )
+        text = f"the background bends by {flat / scale:.1f} px: image stabilisation, or a rolling shutter"
+        found.append(ImageFault("warped", text))
     return found
 
 
@@ -443,10 +443,12 @@ def _colours(image: ImageArray) -> Any:
 def _tool(motion: _Motion, moving: BoolArray, lab: Any) -> BoolArray:
     """(h, w) what moves as a rigid body, enters from the border of the picture, and looks unlike the rest that
     moves."""
-    rigid = max((_rigid(motion, moving, side) for side in SIDES), key=np.count_nonzero)
+    rigid = max((_rigid(motion, side) for side in SIDES), key=np.count_nonzero)
     seed = moving & ~_grown(rigid, 7)
     if not rigid.any() or np.count_nonzero(seed) < FEWEST:
         return rigid
+    if _unlike(lab[rigid], lab[seed]) < UNLIKE:
+        return np.zeros(rigid.shape, dtype=bool)
     zone = moving | _grown(rigid, 7)
     labels = np.where(rigid, cv2.GC_PR_FGD, np.where(zone, cv2.GC_PR_BGD, cv2.GC_BGD)).astype(np.uint8)
     labels[_shrunk(seed, 3)] = cv2.GC_BGD
@@ -455,27 +457,40 @@ def _tool(motion: _Motion, moving: BoolArray, lab: Any) -> BoolArray:
     return _largest(_open(_cut(view, labels) & zone, 3), rigid)
 
 
-def _rigid(motion: _Motion, moving: BoolArray, side: str) -> BoolArray:
+def _unlike(first: Any, second: Any) -> float:
+    """Distance of the mean colours of pixels (n, 3) and (m, 3), in deviations."""
+    spread = 0.5 * (np.cov(first.T) + np.cov(second.T)) + 2.0 * np.eye(3)
+    apart = first.mean(axis=0) - second.mean(axis=0)
+    return float(np.sqrt(apart @ np.linalg.solve(spread, apart)))
+
+
+def _rigid(motion: _Motion, side: str) -> BoolArray:
     """(h, w) the largest piece that enters from a side of the picture and moves as a rigid body, if there is one."""
-    size, last = moving.shape, motion.flow[-1]
-    at, none = _places(size), np.zeros(moving.shape, dtype=bool)
+    last, moving = motion.flow[-1], motion.away[-1] > 2 * motion.limit  # also where texture is too faint to be sure
+    size = moving.shape
+    at, none = _places(size), np.zeros(size, dtype=bool)
     entering, border = none.copy(), none.copy()
     for strip, share in ((entering, 2 * RIM), (border, 0.012)):
         _seen_from(side, strip)[: max(3, round(share * min(size)))] = True
     chosen = entering & moving & motion.known[-1]
-    left, limit = np.zeros(size), RIGID_PX
+    if np.count_nonzero(chosen) < FEWEST:
+        return none
+    left = np.zeros(size)
+    limit = max(RIGID_PX, RIGID * float(np.median(motion.away[-1][chosen])))
     for _ in range(2):  # again with all of it
         if (fit := _similarity(at, last, chosen, limit)) is None:
             return none
-        left = np.linalg.norm(last - _carried(at, fit), axis=2)
-        limit = max(RIGID_PX, RIGID * float(np.median(motion.away[-1][chosen])))
-        chosen = moving & motion.known[-1] & (left < 2 * limit)
-    rigid = _open((left < limit) & moving, 5)
+        off = _blur((last - _carried(at, fit)) * moving[:, :, None], 2.0)  # compression makes faint texture tremble
+        left = np.linalg.norm(off, axis=2) / np.maximum(_blur(moving.astype(np.float32), 2.0), 0.05)
+        chosen = moving & motion.known[-1] & (left < limit)
+    rigid = (left < limit) & moving
+    if np.mean(rigid[entering & moving & motion.known[-1]]) < ENTERS:
+        return none
+    rigid = _open(rigid, 5)
     pieces = cv2.connectedComponents(rigid.astype(np.uint8))[1]
     counts = np.bincount(pieces[rigid & border], minlength=2)
     piece = np.asarray(pieces == counts.argmax())
-    real = counts.max() > 4 and np.mean(piece) > SMALLEST and float(np.median(left[piece])) < 0.4 * limit
-    return piece if real else none
+    return piece if counts.max() > 4 and np.mean(piece) > SMALLEST else none
 
 
 def _body(view: Any, labels: Any, seed: BoolArray, tool: BoolArray) -> BoolArray:
@@ -499,27 +514,16 @@ def _largest(mask: BoolArray, seed: BoolArray | None = None) -> BoolArray:
     return mask if count < 3 or not counted.size else np.asarray(pieces == np.bincount(counted).argmax())
 
 
-def _shape(mask: BoolArray, operation: int, size: int) -> BoolArray:
+def _shape(operation: int, mask: BoolArray, size: int) -> BoolArray:
     """A morphological operation by a disc that does not wear off what touches the border of the picture."""
     disc, edge = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), 2 * size
     padded = cv2.copyMakeBorder(mask.astype(np.uint8), edge, edge, edge, edge, cv2.BORDER_REPLICATE)
     return np.asarray(cv2.morphologyEx(padded, operation, disc)[edge:-edge, edge:-edge] > 0)
 
 
-def _open(mask: BoolArray, size: int) -> BoolArray:
-    return _shape(mask, cv2.MORPH_OPEN, size)
-
-
-def _closed(mask: BoolArray, size: int) -> BoolArray:
-    return _shape(mask, cv2.MORPH_CLOSE, size)
-
-
-def _grown(mask: BoolArray, size: int) -> BoolArray:
-    return _shape(mask, cv2.MORPH_DILATE, size)
-
-
-def _shrunk(mask: BoolArray, size: int) -> BoolArray:
-    return _shape(mask, cv2.MORPH_ERODE, size)
+_open, _closed, _grown, _shrunk = (
+    partial(_shape, one) for one in (cv2.MORPH_OPEN, cv2.MORPH_CLOSE, cv2.MORPH_DILATE, cv2.MORPH_ERODE)
+)
 
 
 def polygon(region: BoolArray) -> FloatArray:
@@ -552,10 +556,7 @@ def _simplified(contour: Any) -> FloatArray:
 def _share_of_motion(motion: _Motion) -> FloatArray:
     """(h, w) motion beyond the background as a share of the largest, the median of frames; NaN where it is unknown."""
     most = np.array(
-        [
-            np.percentile(one[known], 99) if known.any() else 0.0
-            for one, known in zip(motion.away, motion.known, strict=True)
-        ]
+        [_largest_motion(motion.away[one : one + 1], motion.known[one : one + 1]) for one in range(len(motion.away))]
     )
     chosen = most > 0.3 * most.max()
     share = np.where(motion.known, motion.away, np.nan)[chosen] / most[chosen][:, None, None]
@@ -588,6 +589,11 @@ def _strip(
     return columns, top, moved[at[0], columns], moved[at[1], columns]
 
 
+def _cut_off(side: str, region: BoolArray, share: FloatArray) -> float:
+    """Share of a side that is the border of the picture."""
+    return float(np.mean(_strip(side, region, share)[1] <= max(2, 0.015 * min(region.shape))))
+
+
 def _contact(
     region: BoolArray, tool: BoolArray, share: FloatArray
 ) -> tuple[Rect | None, HeldGroup | None, HeldGroup | None, float]:
@@ -595,11 +601,10 @@ def _contact(
     sure that is, 0 to 1. Without a tool the footprint is where a side moves most."""
     if tool.any():
         away = cv2.distanceTransform((~region).astype(np.uint8), cv2.DIST_L2, 5)
-        near = tool & (away <= away[tool].min() + EDGE_PX)
-        low, high = (np.array(one) for one in _box(region))
-        tip = np.argwhere(near).mean(axis=0)
-        out = {"top": low[0] - tip[0], "bottom": tip[0] - high[0], "left": low[1] - tip[1], "right": tip[1] - high[1]}
-        side = max(SIDES, key=lambda one: out[one])
+        tip = tool & (away <= away[tool].min() + EDGE_PX)
+        side = max(
+            SIDES, key=lambda one: _seen_from(one, region).any(1).argmax() - np.nonzero(_seen_from(one, tip))[0].mean()
+        )
         turned, body = _seen_from(side, tool), _seen_from(side, region)
         both = np.flatnonzero(turned.any(axis=0) & body.any(axis=0))
         gap = body[:, both].argmax(axis=0) - (len(turned) - turned[::-1, both].argmax(axis=0))
@@ -631,21 +636,15 @@ def _longest(numbers: Any) -> Any:
     return max(np.split(numbers, np.flatnonzero(np.diff(numbers) > 2 * EDGE_PX) + 1), key=len)
 
 
-def _box(region: BoolArray) -> tuple[tuple[int, int], tuple[int, int]]:
-    """First and last row and column of a mask (h, w), each as (row, column)."""
-    rows, columns = np.flatnonzero(region.any(axis=1)), np.flatnonzero(region.any(axis=0))
-    return (int(rows[0]), int(columns[0])), (int(rows[-1]), int(columns[-1]))
-
-
 def _footprint(side: str, region: BoolArray, columns: Any) -> Rect:
     """The rectangle [px] below a side, at columns (n,) along it, that holds the outermost row of particles."""
-    (top, left), (bottom, right) = _box(region)
-    tall, wide = bottom - top + 1, right - left + 1
-    deep = max(CONTACT_ROWS * max(tall, wide) / LONG_SIDE_PARTICLES, (tall if side in ("top", "bottom") else wide) / 6)
-    edge = float(np.median(_seen_from(side, region)[:, columns].argmax(axis=0)))
+    turned = _seen_from(side, region)
+    tall, wide = (np.count_nonzero(turned.any(axis=one)) for one in (1, 0))
+    deep = max(CONTACT_ROWS * max(tall, wide) / LONG_SIDE_PARTICLES, tall / 6)
+    edge = float(np.median(turned[:, columns].argmax(axis=0)))
     along, length = float(columns[0]), float(len(columns))
     if side in ("bottom", "right"):
-        edge = region.shape[side == "right"] - edge - deep
+        edge = len(turned) - edge - deep
     return Rect(along, edge, length, deep) if side in ("top", "bottom") else Rect(edge, along, deep, length)
 
 
@@ -657,8 +656,8 @@ def _held(
     held: list[HeldGroup] = []
     sure = 1.0
     for side in SIDES:
-        _, edge, at_edge, inside = _strip(side, region, share)
-        if np.mean(edge <= max(2, 0.015 * min(region.shape))) > 0.5:
+        edge, _, at_edge, inside = _strip(side, region, share)
+        if _cut_off(side, region, share) > 0.5:
             held.append(side)
         elif background and side != contact:
             both = np.isfinite(at_edge) & np.isfinite(inside)
