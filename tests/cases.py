@@ -1,5 +1,5 @@
 """Cases of parametrised tests: which of them a default run takes, and which are left to `make test-slow`; short names
-of fixtures' types."""
+of fixtures' types; what a command refuses."""
 
 from collections.abc import Collection, Iterable, Sequence
 from itertools import product
@@ -27,3 +27,12 @@ def each_once(*columns: Sequence[Any]) -> list[Any]:
     """All combinations of the columns' values, slow but for as few as have each value."""
     quick = [tuple(column[at % len(column)] for column in columns) for at in range(max(map(len, columns)))]
     return slow_but(quick, product(*columns))
+
+
+def one_line(capsys: Capture) -> str:
+    """What an error said: exactly one line on stderr, nothing on stdout."""
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1, err
+    assert err.startswith("deformscope: ")
+    return err.strip()

@@ -26,7 +26,7 @@ from deformscope.recording.reader import Replay
 from deformscope.runs import replay_result
 from deformscope.stages.fit.estimate import Posterior
 from deformscope.stages.msm import reference
-from tests.cases import Capture, Patch
+from tests.cases import Capture, Patch, one_line
 from tests.rounding import differing_by_more
 from tests.stages import reference_states
 from tests.stages.bodies import pushed
@@ -76,11 +76,9 @@ def run_json(arguments: list[str], capsys: Capture) -> Any:
 
 def failure(arguments: list[str], capsys: Capture) -> str:
     assert main(arguments) == 2
-    shown = capsys.readouterr()
-    assert shown.out == ""
-    assert len(shown.err.strip().splitlines()) == 1, shown.err
-    assert shown.err.startswith("deformscope: error: ")
-    return shown.err
+    said = one_line(capsys)
+    assert said.startswith("deformscope: error: ")
+    return said
 
 
 def test_pair_json_is_the_public_contract(pair: Path, capsys: Capture) -> None:
@@ -215,12 +213,10 @@ def test_replay_refuses_a_changed_recording(recorded: Path, tmp_path: Path, caps
     assert "ledger" in failure(["replay", str(record), "--viewer", "none"], capsys)
 
 
-def test_existing_recording_needs_overwrite(pair: Path, tmp_path: Path, capsys: Capture) -> None:
-    record = tmp_path / "run.rrd"
+def test_existing_recording_needs_overwrite(pair: Path, recorded: Path, tmp_path: Path, capsys: Capture) -> None:
+    record = Path(shutil.copy(recorded, tmp_path))
     arguments = ["calibrate", "beta", str(pair), *FAST, "--record", str(record)]
-    assert main(arguments) == 0
     before = record.read_bytes()
-    capsys.readouterr()
     assert "--overwrite" in failure(arguments, capsys)
     assert record.read_bytes() == before
     assert main([*arguments, "--overwrite"]) == 0

@@ -20,7 +20,7 @@ from deformscope import cli, config
 from deformscope.cli import common
 from deformscope.errors import InputError
 from deformscope.runs.result import resolve_viewer
-from tests.cases import Capture, Patch
+from tests.cases import Capture, Patch, one_line
 from tests.patience import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -57,15 +57,6 @@ def command(monkeypatch: Patch) -> Callable[[Callable[[config.FlowConfig], None]
 def _in_a_folder_of_its_own(tmp_path: Path, monkeypatch: Patch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv(cli.TRACEBACK, raising=False)
-
-
-def one_line(capsys: Capture) -> str:
-    """What an error said: exactly one line on stderr, nothing on stdout."""
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err.count("\n") == 1
-    assert err.startswith("deformscope: ")
-    return err.strip()
 
 
 # Help and finding a command

@@ -34,7 +34,7 @@ from deformscope.stages.map.exploration import ExplorationStop, PhaseStart
 from deformscope.stages.map.measured import LookFrames, TouchFrames
 from deformscope_drivers.clock import Stamp
 from studies.fault_study import ALLOWED_S, AS_IT_MOVES, turned_aside_deg
-from tests.cases import Capture, Patch
+from tests.cases import Capture, Patch, one_line
 from tests.cli.quick_scene import use_quick_scene
 from tests.cli.recorded import Explored
 from tests.patience import PATIENCE_S
@@ -182,9 +182,7 @@ def test_what_cannot_be_explored_is_said_in_one_line(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(arguments) != 0
-    said = capsys.readouterr().err
-    assert words in said
-    assert said.count("\n") == 1
+    assert words in one_line(capsys)
 
 
 LAB_STARTS_NS = 1_000_000_000

@@ -27,7 +27,7 @@ from deformscope_drivers.errors import SettingsRefused
 from deformscope_drivers.jaco.chains import J2N6S300
 from deformscope_drivers.optoforce import Optoforce
 from studies.reach import reach
-from tests.cases import Capture, Patch
+from tests.cases import Capture, Patch, one_line
 from tests.cli.quick_scene import use_quick_scene
 from tests.cli.rig_on_a_simulated_clock import count_as_real, use_a_simulated_clock
 from tests.verified import verify_here
@@ -172,9 +172,7 @@ def test_a_rig_that_cannot_explore_is_refused_in_one_line(
         changed = changed.replace("state_hz = 100\ncommand_deadline_s = 0.5\n", "")
     rig.write_text(changed)
     assert main(["explore", str(rig)]) == 2
-    said = capsys.readouterr().err
-    assert words in said
-    assert said.count("\n") == 1
+    assert words in one_line(capsys)
 
 
 @pytest.mark.usefixtures("simulated_clock")
@@ -201,9 +199,7 @@ def test_what_goes_wrong_before_the_checks_is_told_in_one_line(
 
     monkeypatch.setattr(what, "zero" if what is Optoforce else "cycle", fail)
     assert main(["explore", str(rig), "--touches", "1"]) == 2
-    said = capsys.readouterr().err
-    assert words in said
-    assert said.count("\n") == 1
+    assert words in one_line(capsys)
 
 
 def test_faults_are_for_simulated_scenes(rig: Path, capsys: Capture) -> None:

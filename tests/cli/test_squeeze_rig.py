@@ -15,7 +15,7 @@ from deformscope.cli.common import EXIT_LOSSES
 from deformscope.experiments.squeeze.squeezing_hand import SqueezingHand
 from deformscope.files.squeeze_dataset import SqueezeDataset
 from deformscope.recording.items import read_items
-from tests.cases import Capture, Patch
+from tests.cases import Capture, Patch, one_line
 from tests.cli.squeeze_rig_on_a_simulated_clock import SimulatedSqueezeRig, use_simulated_squeeze_rigs
 from tests.experiments.toy_squeeze import spoil_arrays
 from tests.verified import verify_here
@@ -200,13 +200,9 @@ def test_a_rig_that_cannot_squeeze_is_refused_in_one_line(
     assert old in RIG
     rig.write_text(RIG.replace(old, new))
     assert squeeze(rig, "--yes")[0] == 2
-    said = capsys.readouterr().err
-    assert words in said
-    assert said.count("\n") == 1
+    assert words in one_line(capsys)
 
 
 def test_a_content_that_nobody_simulates_is_refused_in_one_line(rig: Path, capsys: Capture) -> None:
     assert main(["squeeze", str(rig), "--content", "sand", "--viewer", "none"]) == 2
-    said = capsys.readouterr().err
-    assert "empty, water, yogurt, flour, rice; got 'sand'" in said
-    assert said.count("\n") == 1
+    assert "empty, water, yogurt, flour, rice; got 'sand'" in one_line(capsys)

@@ -28,7 +28,7 @@ from deformscope.errors import InputError
 from deformscope.executor.local import HereWorker
 from deformscope.file_io import sample_path
 from deformscope.recording.ledger import add_discard, read_discards
-from tests.cases import Capture, Patch, slow
+from tests.cases import Capture, Patch, one_line, slow
 from tests.executor.test_tasks import paths_of_tests
 from tests.patience import PATIENCE_S
 from tests.test_imports import ROOT
@@ -237,9 +237,7 @@ def test_what_cannot_be_swept_is_said_in_one_line(
     flags: list[str], command: list[str], words: str, pairs: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     assert main(["sweep", str(pairs), "--out", str(tmp_path / "out"), *flags, "--", *command]) == 2
-    said = capsys.readouterr().err
-    assert words in said
-    assert said.count("\n") == 1
+    assert words in one_line(capsys)
 
 
 def test_a_second_sweep_into_the_same_folder_is_refused(pairs: Path, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 from deformscope.cli import EXIT_INPUT
 from studies.__main__ import main
 from studies.reproduce import pressed_cubes as cubes
-from tests.cases import Capture, Patch
+from tests.cases import Capture, Patch, one_line
 from tests.cli.recorded import assert_shows
 
 TOP = {
@@ -96,6 +96,4 @@ def test_what_cannot_be_done_is_told_in_a_line(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").touch()
     assert main(["reproduce", "cubes", *(flag.format(file=tmp_path / "file") for flag in flags)]) == EXIT_INPUT
-    error = capsys.readouterr().err
-    assert words in error
-    assert error.count("\n") == 1
+    assert words in one_line(capsys)

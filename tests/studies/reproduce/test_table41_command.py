@@ -14,7 +14,7 @@ from studies.__main__ import main
 from studies.map_score import MapScore
 from studies.reproduce import table41
 from studies.reproduce.table41_runs import MapAfter, TableJob, TableRun
-from tests.cases import Capture, Patch
+from tests.cases import Capture, Patch, one_line
 from tests.executor.test_tasks import paths_of_tests
 from tests.patience import PATIENCE_S
 
@@ -36,9 +36,7 @@ def test_what_cannot_be_explored_is_said_in_one_line(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["reproduce", "table41", *arguments]) != 0
-    said = capsys.readouterr().err
-    assert words in said
-    assert said.count("\n") == 1
+    assert words in one_line(capsys)
 
 
 @pytest.mark.slow  # presses finite elements
