@@ -42,7 +42,7 @@ LAW_OFF, CUTS = 0.04, (1.0, 0.75, 0.55, 0.4, 0.3)
 """It does as long as its exponent is within this share, and two deviations, of the law's; it is tried up to these
 shares of the peak."""
 MOST_OF_RADIUS, MOST_OF_LAYER, MOST_DEPTH_M = 0.3, 0.2, 0.1
-"""Deepest dents that the law of small strain is fitted to, over a sphere's radius and over a layer's thickness: Hertz's
+"""Deepest dents that the law of small strain is fitted to, over the tip's radius and over a layer's thickness: Hertz's
 law holds within some 3 % up to 0.3 radii (Lin et al. 2009, Biomech. Model. Mechanobiol. 8, 345). Deeper ones than the
 last [m] are taken to be of another unit."""
 POISSONS, DRAWS = 5, 4000
@@ -107,8 +107,8 @@ class IndentSample:
     @property
     def limit_m(self) -> float:
         """Deepest dent of small strain [m]."""
-        layer = np.inf if self.thickness_m is None else MOST_OF_LAYER * self.thickness_m
-        return float(min(layer, MOST_OF_RADIUS * self.tip.radius_m if self.tip.kind == "sphere" else np.inf))
+        layer_m = np.inf if self.thickness_m is None else MOST_OF_LAYER * self.thickness_m
+        return float(min(layer_m, MOST_OF_RADIUS * self.tip.radius_m))
 
     def free_sides(self, radius_m: float) -> float:
         """Share of the force that it lacks for its free sides, at most, for a radius of the contact [m]: a bound on
@@ -339,6 +339,10 @@ class _Poke:
         bent_m = self.machine.compliance_sd * fit.at_force_n * self.scale[1]
         own_m = float(np.sqrt(max((fit.depth_sd_m * self.scale[0]) ** 2 - bent_m**2, 0.0)))
 
+        strained = dent_m / sample.limit_m
+        if sample.tip.kind == "cone":  # its strain is that of a sphere with the same slope at the contact's edge
+            strained = 1.0 / np.tan(np.radians(sample.tip.size[0])) / MOST_OF_RADIUS**0.5
+
         def follows(**factor: float) -> float:
             other = sample.law(law.deepest_m, law.poisson, **factor)
             return abs(float(np.log(other.response(dent_m) / law.response(dent_m))))
@@ -351,7 +355,7 @@ class _Poke:
             "force gain": sample.gain_sd,
             "drift": self.drift_sd_n / self.peak_n,
             "adhesion": 0.5 * self.pull_n / self.peak_n,
-            "law": float(np.hypot(LAW_SD, fit.exponent / law.exponent - 1.0)),
+            "law": float(np.hypot(LAW_SD * min(strained, 1.0), fit.exponent / law.exponent - 1.0)),
         }
         return tuple(ModulusShare(cause, sd) for cause, sd in every.items())
 
@@ -414,7 +418,7 @@ def fit_indentation(curve: IndentCurve, sample: IndentSample) -> IndentEstimate:
     plane_log = np.interp(nu, ratios, np.log(plane))
     young_log = plane_log + np.log1p(-(nu**2))
     error = float(np.linalg.norm([one.sd for one in shares])) * random.standard_normal(DRAWS)
-    stuck = np.log(friction_ratio(nu, radius_m / (sample.thickness_m or np.inf)))
+    stuck = random.uniform(size=DRAWS) * np.log(friction_ratio(nu, radius_m / (sample.thickness_m or np.inf)))
     sides = -float(np.log1p(-sample.free_sides(radius_m)))
     (value, interval), (plane_pa, plane_interval) = (
         (
@@ -458,7 +462,7 @@ def fit_indentation(curve: IndentCurve, sample: IndentSample) -> IndentEstimate:
         shares=(
             *shares,
             ModulusShare("Poisson's ratio", float(young_log.std())),
-            ModulusShare("friction (lower end alone)", float(stuck.mean())),
+            ModulusShare("friction", float(stuck.std())),
             ModulusShare("free sides (upper end alone)", sides),
         ),
         log_sd=float(np.linalg.norm([one.sd for one in shares if one.cause in OWN])),

@@ -10,6 +10,7 @@ from scipy.stats import binomtest
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.poke.indentation import (
+    DRIFT_SD,
     IndentCurve,
     IndentEstimate,
     IndentSample,
@@ -81,8 +82,9 @@ def elements(thickness: float, poisson: float, ground: Ground) -> tuple[FloatArr
 
 def layer_curve(
     kind: str, thickness: float, poisson: float, ground: Ground, rng: np.random.Generator
-) -> tuple[IndentCurve, IndentSample, float]:
-    """A curve of finite elements in units of the tip, 1 cm; its modulus."""
+) -> tuple[IndentCurve, IndentSample, float, float]:
+    """A curve of finite elements in units of the tip, 1 cm, its modulus, and that of the force as it sticks. What is
+    stated is off as much as is stated; the force drifts; the tip sticks more or less (as a disc on a half-space)."""
     r, compliance = elements(thickness, poisson, ground)
     gap = {"sphere": r**2 / 2, "cone": r / np.tan(np.radians(70)), "disc": np.where(r < 0.5 + 1e-9, 0.0, 1e9)}[kind]
     deep = 0.12 * min(thickness, 1.0)
@@ -92,31 +94,36 @@ def layer_curve(
     way = np.linspace(-rng.uniform(0.1, 0.6) * deep, deep, rng.integers(150, 600))
     pressed = np.interp(way, np.append(0.0, depth), np.append(0.0, force), left=0.0) * young * 1e-4
     noise = float(rng.uniform(0.002, 0.02)) * pressed.max()
+    pressed += DRIFT_SD * pressed.max() * rng.standard_normal() * np.linspace(0.0, 1.0, len(way))
     curve = IndentCurve(1e-2 * (way + rng.uniform(0, 3)), pressed + noise * rng.standard_normal(len(way)) + 0.1 * noise)
     size = TIPS[kind] if kind == "cone" else (1e-2 * TIPS[kind][0],)
     sample = IndentSample(Indenter(kind, size), 1e-2 * thickness, ground, (poisson, poisson))  # type: ignore[arg-type]
-    return curve, sample, young
+    own = np.exp(rng.standard_normal(3) * [sample.tip_sd, sample.thickness_sd, sample.gain_sd])
+    sticks = float(friction_ratio(np.array([poisson]))[0]) ** rng.uniform()
+    given = replace(sample, tip=sample.tip.scaled(float(own[0])), thickness_m=1e-2 * thickness * float(own[1]))
+    return replace(curve, force_n=float(own[2]) * sticks * curve.force_n), given, young, young * sticks
 
 
 def test_60_curves_of_finite_elements_have_their_modulus_within_3_percent_and_in_its_interval() -> None:
     rng = np.random.default_rng(51)
-    errors, half_space, widths, held = [], [], [], 0
+    errors, of_law, half_space, widths, held = [], [], [], [], 0
     for layer in [one for one in LAYERS for _ in range(2)]:
         for kind in TIPS:
-            curve, sample, young = layer_curve(kind, *layer, rng)
+            curve, sample, young, sticking = layer_curve(kind, *layer, rng)
             found = fit_indentation(curve, sample)
             errors.append(found.modulus_pa / young - 1.0)
+            of_law.append(found.modulus_pa / sticking - 1.0)
             half_space.append(found.half_space_pa / young - 1.0)
             held += found.modulus_interval_pa[0] <= young <= found.modulus_interval_pa[1]
             widths.append(np.ptp(found.modulus_interval_pa) / found.modulus_pa)
+    print(f"by the law {np.median(np.abs(of_law)):.1%}, at most {np.max(np.abs(of_law)):.1%}")
     print(f"off {np.median(np.abs(errors)):.1%}, at most {np.max(np.abs(errors)):.1%}; held {held} of {len(errors)},")
     print(f"width {np.median(widths):.0%}; half-space off {np.median(half_space):.0%}, at most {max(half_space):.0%}")
     assert len(errors) == 60
     assert np.median(np.abs(errors)) < 0.03
-    assert abs(np.median(errors)) < 0.01
-    assert np.max(np.abs(errors)) < 0.12
-    # friction widens the lower end, so that more than 90 % may hold, not fewer
-    assert binomtest(held, 60).proportion_ci(0.95).high >= 0.9
+    assert abs(np.median(of_law)) < 0.015
+    assert np.max(np.abs(of_law)) < 0.1
+    assert binomtest(held, 60).proportion_ci(0.95).low <= 0.9 <= binomtest(held, 60).proportion_ci(0.95).high
     assert np.max(half_space) > 1.0  # a half-space's law: more than twice too stiff
     assert np.median(half_space) > 0.15
 
