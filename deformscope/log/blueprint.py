@@ -6,7 +6,7 @@ import rerun.blueprint as rrb
 
 from deformscope.log.canvas import COLUMN_SHARE, ROW_SHARE, Canvas
 from deformscope.log.layout import PictureLayout
-from deformscope.log.rig.blueprint import LEGEND, blueprint_of
+from deformscope.log.rig.blueprint import LEGEND, blueprint_of, space_view
 
 NAMES = {
     "particles": "Particles",
@@ -112,12 +112,4 @@ def deep_view(name: str, contents: list[str], canvas: Canvas) -> rrb.View:
     size = sum((last - first) ** 2 for first, last in zip(low, high, strict=True)) ** 0.5 or 1.0
     size *= FLAT_CLOSER if high[2] - low[2] < 0.5 * max(canvas.width, canvas.height) else 1.0
     away = [middle[0] + 0.5 * size, middle[1] - 0.85 * size, middle[2] + 0.55 * size]
-    return rrb.Spatial3DView(
-        name=name,
-        contents=contents,
-        eye_controls=rrb.EyeControls3D(
-            kind=rrb.Eye3DKind.Orbital, position=away, look_target=middle, eye_up=[0.0, 0.0, 1.0]
-        ),
-        line_grid=rrb.LineGrid3D(visible=False),
-        background=PAPER,
-    )
+    return space_view(name, contents, away, middle, background=PAPER)

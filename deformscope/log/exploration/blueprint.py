@@ -23,7 +23,7 @@ from deformscope.log.exploration.display import (
 from deformscope.log.exploration.perception import ERROR, PIXELS, TOUCH, UNDER
 from deformscope.log.exploration.perception import MAPS as FIELD_MAPS
 from deformscope.log.exploration.scene import SCENE, SURFACE_FRAME
-from deformscope.log.rig.blueprint import FLOOR, LEGEND, blueprint_of, depth_view, named
+from deformscope.log.rig.blueprint import FLOOR, LEGEND, blueprint_of, depth_view, named, space_view
 from deformscope.log.rig.columns import root
 from deformscope.log.rig.numbers import plotted
 from deformscope.pictures.exploration import FIELDS
@@ -111,20 +111,10 @@ def _sections() -> list[rrb.View]:
 
 def _pixels() -> list[rrb.View]:
     """Which pixels were used, and the surface under the touch."""
-    eye = rrb.EyeControls3D(
-        kind=rrb.Eye3DKind.Orbital, position=[0.06, -0.2, 0.12], look_target=[0, -0.01, 0], eye_up=[0, 0, 1]
-    )
     names = "blue used, grey outside, yellow lone, red to pink robot"
     return [
         rrb.Spatial2DView(contents=[f"+ /{PIXELS}"], name=f"Pixels: {names}", background=list(BACKGROUND)),
-        rrb.Spatial3DView(
-            contents=[f"+ /{UNDER}/**"],
-            name="Surface under the touch",
-            spatial_information=rrb.SpatialInformation(target_frame=TOUCH),
-            eye_controls=eye,
-            line_grid=rrb.LineGrid3D(visible=False),
-            background=list(BACKGROUND),
-        ),
+        space_view("Surface under the touch", [f"+ /{UNDER}/**"], [0.06, -0.2, 0.12], [0.0, -0.01, 0.0], frame=TOUCH),
     ]
 
 
@@ -136,7 +126,9 @@ def _scenes(streams: Sequence[Stream], size_m: tuple[float, float]) -> rrb.Conta
 
 
 def _looks(streams: Sequence[Stream]) -> list[rrb.View]:
-    return [_dent(), *(depth_view(stream) for stream in streams if stream.kind == "depth")]
+    name = "The dent: observed blue, simulated red"
+    dent = space_view(name, [f"+ /{DENT}/**"], [0.5, -1.95, 0.95], [0.0, -0.2, -0.15])
+    return [dent, *(depth_view(stream) for stream in streams if stream.kind == "depth")]
 
 
 def _over_time(streams: Sequence[Stream]) -> list[rrb.View]:
@@ -159,30 +151,13 @@ def _scene(
     arms = [stream for stream in streams if stream.kind == "arm" and stream.urdf is not None]
     x, y = size_m
     wide = max(x, y)
-    return rrb.Spatial3DView(
-        contents=[f"+ /{what}", *(f"+ /{root('display/arm', arm.device)}/**" for arm in arms)],
-        name=name or f"Surface{''.join(f' and {arm.device}{simulated * arm.simulated}' for arm in arms)}",
-        spatial_information=rrb.SpatialInformation(target_frame=SURFACE_FRAME),
-        eye_controls=rrb.EyeControls3D(
-            kind=rrb.Eye3DKind.Orbital,
-            position=[x / 2 + 0.25 * wide, y / 2 - 1.05 * wide, (0.85 if arms else 0.75) * wide],
-            look_target=[x / 2, y / 2 + 0.05 * wide, (0.17 if arms else 0.0) * wide],
-            eye_up=[0.0, 0.0, 1.0],
-        ),
-        line_grid=rrb.LineGrid3D(visible=True, spacing=0.1, color=FLOOR),
-        background=list(BACKGROUND),
-    )
-
-
-def _dent() -> rrb.View:
-    return rrb.Spatial3DView(
-        contents=[f"+ /{DENT}/**"],
-        name="The dent: observed blue, simulated red",
-        eye_controls=rrb.EyeControls3D(
-            kind=rrb.Eye3DKind.Orbital, position=[0.5, -1.95, 0.95], look_target=[0.0, -0.2, -0.15], eye_up=[0, 0, 1.0]
-        ),
-        line_grid=rrb.LineGrid3D(visible=False),
-        background=list(BACKGROUND),
+    return space_view(
+        name or f"Surface{''.join(f' and {arm.device}{simulated * arm.simulated}' for arm in arms)}",
+        [f"+ /{what}", *(f"+ /{root('display/arm', arm.device)}/**" for arm in arms)],
+        [x / 2 + 0.25 * wide, y / 2 - 1.05 * wide, (0.85 if arms else 0.75) * wide],
+        [x / 2, y / 2 + 0.05 * wide, (0.17 if arms else 0.0) * wide],
+        frame=SURFACE_FRAME,
+        floor=FLOOR,
     )
 
 

@@ -70,12 +70,10 @@ def log_shape(rec: rr.RecordingStream, stream: Stream) -> None:
 
 
 def log_pose(batch: Batch, device: str, frames: Sequence[ArmFrame], start_ns: int, stream: Stream | None) -> None:
-    if stream is not None and stream.urdf is not None:
-        _log_pose(batch, device, frames, start_ns, shape_of(stream.urdf, device))
-
-
-def _log_pose(batch: Batch, device: str, frames: Sequence[ArmFrame], start_ns: int, shape: Shape) -> None:
-    """All joints in one call: rows of one entity, each about another pair of frames."""
+    """All joints in one call: rows of one entity, each about another pair of frames; nothing without a shape."""
+    if stream is None or stream.urdf is None:
+        return
+    shape = shape_of(stream.urdf, device)
     slots = [frame.stamp.host_ns // POSE_NS for frame in frames]
     frames = [frame for frame, slot, before in zip(frames, slots, [None, *slots], strict=False) if slot != before]
     names = [*shape.joints, *(name for name, _, _ in shape.fingers)]

@@ -130,18 +130,35 @@ def _arm_view(stream: Stream) -> rrb.View:
     assert stream.urdf is not None
     shape = shape_of(stream.urdf, stream.device)
     reach = shape.reach_m
+    eye = [0.9 * reach, -0.85 * reach, 0.75 * reach]
+    arm, target = root("display/arm", stream.device), [0.0, 0.0, 0.36 * reach]
+    return space_view(named(stream, "pose"), (), eye, target, frame=shape.base, floor=FLOOR, origin=arm)
+
+
+def space_view(
+    name: str,
+    contents: Sequence[str],
+    position: Sequence[float],
+    look_target: Sequence[float],
+    *,
+    frame: str | None = None,
+    floor: Sequence[int] | None = None,
+    **more: Any,
+) -> rrb.View:
+    """A view in space, z upwards. contents: shown entities, empty = those below `origin`; position, look_target: (3,)
+    of the eye; frame: the frame that it shows; floor: RGB of lines on
+    the ground, each 0.1, None = no lines; more: more of the view"""
+    grid = rrb.LineGrid3D(visible=False)
+    if floor is not None:
+        grid = rrb.LineGrid3D(visible=True, spacing=0.1, color=list(floor))
     return rrb.Spatial3DView(
-        origin=root("display/arm", stream.device),
-        name=named(stream, "pose"),
-        spatial_information=rrb.SpatialInformation(target_frame=shape.base),
+        name=name,
+        spatial_information=None if frame is None else rrb.SpatialInformation(target_frame=frame),
         eye_controls=rrb.EyeControls3D(
-            kind=rrb.Eye3DKind.Orbital,
-            position=[0.9 * reach, -0.85 * reach, 0.75 * reach],
-            look_target=[0.0, 0.0, 0.36 * reach],
-            eye_up=[0.0, 0.0, 1.0],
+            kind=rrb.Eye3DKind.Orbital, position=position, look_target=look_target, eye_up=[0.0, 0.0, 1.0]
         ),
-        line_grid=rrb.LineGrid3D(visible=True, spacing=0.1, color=FLOOR),
-        background=list(BACKGROUND),
+        line_grid=grid,
+        **({"background": list(BACKGROUND)} | ({"contents": list(contents)} if contents else {}) | more),
     )
 
 

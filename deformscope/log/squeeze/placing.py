@@ -12,8 +12,9 @@ from deformscope.arrays import FloatArray
 from deformscope.frames import Stream
 from deformscope.log.exploration.scene import SURFACE_FRAME, log_base
 from deformscope.log.result_batch import ResultBatch
+from deformscope.log.rig.blueprint import space_view
 from deformscope.log.rig.columns import Sink, root
-from deformscope.pictures.palette import BACKGROUND, BAD, HELD, IDLE, OBSERVED, REST, WARN, Rgb
+from deformscope.pictures.palette import BAD, HELD, IDLE, OBSERVED, REST, WARN, Rgb
 from deformscope.stages.squeeze.placement import ContainerFit, ContainerSighting, HandPlacement
 
 PLACE, IMAGE, WORDS = "display/place/scene", "display/place/image", "display/place/words"
@@ -66,19 +67,9 @@ def place_views(streams: Sequence[Stream], camera: str) -> rrb.Container:
     arms = [stream for stream in streams if stream.kind == "arm"]
     simulated = " (SIMULATED)" if any(arm.simulated for arm in arms) else ""
     shown = [f"+ /{root('display/arm', arm.device)}/**" for arm in arms if arm.urdf is not None]
-    scene = rrb.Spatial3DView(
-        contents=[f"+ /{PLACE}/**", *shown],
-        name=f"table [m]: grasp orange, refused grey, way blue{simulated}",
-        spatial_information=rrb.SpatialInformation(target_frame=SURFACE_FRAME),
-        eye_controls=rrb.EyeControls3D(
-            kind=rrb.Eye3DKind.Orbital,
-            position=[0.75, -0.75, 0.75],
-            look_target=[0.0, -0.1, 0.12],
-            eye_up=[0.0, 0.0, 1.0],
-        ),
-        line_grid=rrb.LineGrid3D(visible=True, spacing=0.1, color=FLOOR),
-        background=list(BACKGROUND),
-    )
+    title = f"table [m]: grasp orange, refused grey, way blue{simulated}"
+    eye, target = [0.75, -0.75, 0.75], [0.0, -0.1, 0.12]
+    scene = space_view(title, [f"+ /{PLACE}/**", *shown], eye, target, frame=SURFACE_FRAME, floor=FLOOR)
     image = rrb.Spatial2DView(
         contents=[f"+ /{root('depth', camera)}", f"+ /{IMAGE}/**"],
         name=f"{camera}: container before (green), placed (yellow), after (blue){simulated}",
