@@ -47,16 +47,16 @@ if TYPE_CHECKING:
     from deformscope.runs.catalog import CatalogResult as CatalogResult
     from deformscope.runs.catalog import ComparedRecordings as ComparedRecordings
     from deformscope.runs.classification import ClassificationResult as ClassificationResult
-    from deformscope.runs.datasets import OpenDataset as OpenDataset
     from deformscope.runs.exploration_result import ExplorationResult as ExplorationResult
     from deformscope.runs.exploration_run import OwnScene as OwnScene
     from deformscope.runs.exploration_run import TouchPlanner as TouchPlanner
-    from deformscope.runs.exporting import ExportResult as ExportResult
     from deformscope.runs.indentation import IndentResult as IndentResult
     from deformscope.runs.joint_calibration import JointResult as JointResult
     from deformscope.runs.materials import MaterialResult as MaterialResult
     from deformscope.runs.prediction import PredictionResult as PredictionResult
     from deformscope.runs.recording_report import RecordingReport as RecordingReport
+    from deformscope.runs.recordings import ExportResult as ExportResult
+    from deformscope.runs.recordings import OpenDataset as OpenDataset
     from deformscope.runs.recordings import OpenRecording as OpenRecording
     from deformscope.runs.recordings import RecordResult as RecordResult
     from deformscope.runs.replay_result import ReplayResult as ReplayResult

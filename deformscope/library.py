@@ -26,16 +26,14 @@ if TYPE_CHECKING:
     from deformscope.runs.calibration_result import CalibrationResult
     from deformscope.runs.catalog import CatalogResult, ComparedRecordings
     from deformscope.runs.classification import ClassificationResult, TableSource
-    from deformscope.runs.datasets import OpenDataset
     from deformscope.runs.exploration_result import ExplorationResult
     from deformscope.runs.exploration_run import OwnScene, TouchPlanner
-    from deformscope.runs.exporting import ExportResult
     from deformscope.runs.indentation import CurveArrays, IndentResult
     from deformscope.runs.joint_calibration import JointResult
     from deformscope.runs.materials import MaterialResult
     from deformscope.runs.prediction import ModelSource, PredictionResult
     from deformscope.runs.recording_report import RecordingReport
-    from deformscope.runs.recordings import OpenRecording, RecordResult
+    from deformscope.runs.recordings import ExportResult, OpenDataset, OpenRecording, RecordResult
     from deformscope.runs.replay_result import ReplayResult
     from deformscope.runs.result import FoundResult
     from deformscope.runs.squeeze_result import SqueezeResult
@@ -441,7 +439,7 @@ def export(
     options: the other fields of `deformscope.config.ExportConfig`: only, camera, anonymous, license, overwrite...
     Raises InputError if something cannot be read or written; then the folder is unchanged."""
     from deformscope.config import ExportConfig
-    from deformscope.runs.exporting import export_recording
+    from deformscope.runs.recordings import export_recording
 
     with _python_names(), shown_progress(progress) as note:
         config = ExportConfig.of(recording=path, out=out, to=to, **options)
@@ -517,7 +515,7 @@ def open_recording(path: Path | str) -> OpenRecording:
 
 def open_dataset(folder: Path | str) -> OpenDataset:
     """Open a data set that `deformscope squeeze --dataset` has made. Raises InputError where it is none."""
-    from deformscope.runs.datasets import OpenDataset
+    from deformscope.runs.recordings import OpenDataset
 
     return OpenDataset(Path(folder))
 

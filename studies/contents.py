@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Annotated
 
 from deformscope.config import flags
-from deformscope.experiments.squeeze.trial import feature_settings
+from deformscope.experiments.squeeze.squeeze import feature_settings
 from deformscope.files.squeeze_dataset import SqueezeDataset, TrialRow
 from deformscope.lab.container_setup import container_lab
 from deformscope.pictures.report import Table

@@ -36,9 +36,8 @@ from deformscope.config import flags
 from deformscope.config.executor import ExecutorOptions
 from deformscope.config.options import OutputOptions, RecordedOptions
 from deformscope.errors import InputError
-from deformscope.executor.journal import Journal
 from deformscope.executor.local import HereWorker, open_workers
-from deformscope.executor.tasks import compute
+from deformscope.executor.tasks import Journal, compute
 from deformscope.frames import StageCost
 from deformscope.pictures.report import Figure, Findings, Table
 from deformscope.session import Step

@@ -17,9 +17,8 @@ from importlib.util import find_spec
 import numpy as np
 
 from deformscope.bench.bodies import BenchBody, counted, cube
-from deformscope.bench.machine import machine
 from deformscope.bench.plan import BETA, CLUSTER, MIDDLE, BenchPlan, Note, default_sizes, side_of
-from deformscope.bench.report import check
+from deformscope.bench.report import check, machine
 from deformscope.bench.steps import WIDE_AT, WIDE_CLUSTER, Stepping, stepped_at_once
 from deformscope.bench.timing import OURS, Contestant, Timing, TimingRow, clock, compare
 from deformscope.config import flags

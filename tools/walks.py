@@ -24,7 +24,7 @@ ROOT = Path(__file__).resolve().parents[1]
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 WALKS: dict[str, tuple[str, ...]] = {
     "pair": ("deformscope/cli/calibrate.py run config",),
-    "squeeze": ("deformscope/cli/squeeze.py run config",),
+    "squeeze": ("deformscope/cli/explore.py squeeze config",),
     "touch": ("deformscope/experiments/explore/explorer.py Explorer.touch touched dent",),
     "trial features": ("deformscope/experiments/squeeze/features.py trial_features frames tracked",),
     "depth frame": (

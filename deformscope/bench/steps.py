@@ -6,15 +6,67 @@ import gc
 import time
 from collections.abc import Generator, Iterator
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import warp as wp
 
 from deformscope.bench.bodies import BenchBody, counted, cube
-from deformscope.bench.memory import Meter
 from deformscope.bench.plan import BETA, CLUSTER, MIDDLE, BenchPlan, Note, side_of
 from deformscope.bench.timing import OURS, Contestant, Timing, TimingRow, clock, compare
+from deformscope.processes import release_memory
 from deformscope.stages.msm.solver import Msm
+
+# How much memory something took: of the process on a CPU, of the device's pool on a GPU
+
+
+class Meter:
+    """Counter of bytes in use since it was last set to zero. `peak` is the largest number since then; None if the
+    system does not report it."""
+
+    def __init__(self, device: str) -> None:
+        self._device = device
+        self._base: int | None = None
+        self._gpu = device != "cpu"
+        self.zero()
+
+    def zero(self) -> None:
+        """Set the counter to zero. On Linux the kernel forgets the process's highest mark."""
+        gc.collect()
+        if self._gpu:
+            if not wp.is_mempool_supported(self._device):
+                return
+            wp.synchronize_device(self._device)
+            self._base = wp.get_mempool_used_mem_current(self._device)
+            self._highest = wp.get_mempool_used_mem_high(self._device)
+            return
+        release_memory()  # what is free would hide what is taken next
+        try:
+            Path("/proc/self/clear_refs").write_text("5")
+        except OSError:
+            self._base = None
+            return
+        self._base = _status("VmRSS")
+
+    def peak(self) -> int | None:
+        """The most bytes in use since zero; on a GPU None if an earlier body used more: its pool does not shrink."""
+        if self._base is None:
+            return None
+        if self._gpu:
+            wp.synchronize_device(self._device)
+            highest = wp.get_mempool_used_mem_high(self._device)
+            return highest - self._base if highest > self._highest else None
+        highest_rss = _status("VmHWM")
+        return None if highest_rss is None else highest_rss - self._base
+
+
+def _status(name: str) -> int | None:
+    try:
+        text = Path("/proc/self/status").read_text()
+    except OSError:
+        return None
+    return next((int(line.split()[1]) * 1024 for line in text.splitlines() if line.startswith(f"{name}:")), None)
+
 
 WIDE_CLUSTER, WIDE_AT = 9, 50_653
 SETUP_MOST_S = 40.0

@@ -64,7 +64,9 @@ COMMANDS: dict[str, Command] = {
     ),
     "indent": _command("find Young's modulus from force over depth", "IndentConfig", "indent"),
     "predict": _command("predict pokes that were not fitted", "PredictConfig", "predict"),
-    "squeeze": _command("squeeze a container: one trial, or the name of its content", "SqueezeConfig", "squeeze"),
+    "squeeze": _command(
+        "squeeze a container: one trial, or the name of its content", "SqueezeConfig", "explore", "squeeze"
+    ),
     "classify": _command("evaluate classifiers of contents from squeezes", "ClassifyConfig", "classify"),
     "flow": _command("dense optical flow of two images", "FlowConfig", "flow"),
     "doctor": _command("check a rig, and name remedies", "DoctorConfig", "doctor"),
@@ -90,11 +92,11 @@ COMMANDS: dict[str, Command] = {
     "replay": _command("run the same stages on recorded inputs, and compare", "ReplayConfig", "recordings", "replay"),
     "verify": _command("check whether a recording is complete", "VerifyConfig", "recordings", "verify"),
     "report": _command("the figures of a recording, as a page", "ReportConfig", "recordings", "report"),
-    "catalog": _command("list and filter the recordings of a folder", "CatalogConfig", "catalog"),
-    "catalog compare": _command("compare two recordings", "CompareConfig", "catalog", "compare"),
+    "catalog": _command("list and filter the recordings of a folder", "CatalogConfig", "recordings", "catalog"),
+    "catalog compare": _command("compare two recordings", "CompareConfig", "recordings", "compare"),
     "sweep": _command("run a command on every file of a folder", "SweepConfig", "sweep"),
     "export": _command("write a recording in other formats", "ExportConfig", "recordings", "export"),
-    "import": _command("make a recording from data of other robots", "ImportConfig", "import_data"),
+    "import": _command("make a recording from data of other robots", "ImportConfig", "recordings", "import_"),
     "recover": _command("make a complete recording from a truncated one", "RecoverConfig", "recordings", "recover"),
     "discard": _command(
         "mark a recording, or an episode of it, as unusable", "DiscardRecordingConfig", "recordings", "discard"

@@ -13,7 +13,7 @@ from deformscope.config import DatasetConfig, DiscardConfig, MergeConfig, Relabe
 from deformscope.errors import InputError
 from deformscope.files.squeeze_dataset import TRIALS, SqueezeDataset, TrialEntry, TrialRow
 from deformscope.pictures.report import table_text
-from deformscope.runs.datasets import dataset_table
+from deformscope.runs.recordings import dataset_table
 
 
 def listing(config: DatasetConfig) -> None:

@@ -12,7 +12,7 @@ from deformscope.interruption import until_interrupted
 from deformscope.lab.double_device import WIRED, wire_of
 from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.rig_file import load_rig
-from deformscope_drivers.announce import announced
+from deformscope_drivers.doubles import announced
 from deformscope_drivers.wires import Wire
 
 SHARED_BUS, FIRST_PORT = "udp_multicast:239.74.163.2", 43113

@@ -1,4 +1,5 @@
-"""`deformscope explore`: map how soft a surface is, and where, by looking and touching."""
+"""`deformscope explore`: map how soft a surface is, and where, by looking and touching. `deformscope squeeze`: squeeze
+a container once, for a data set or to name its content."""
 
 from __future__ import annotations
 
@@ -8,13 +9,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deformscope.cli.common import EXIT_LOSSES, say, show_table, write_file, write_json
-from deformscope.config import ExploreConfig
+from deformscope.cli.common import EXIT_LOSSES, say, show, show_table, write_file, write_json
+from deformscope.config import ExploreConfig, SqueezeConfig
 from deformscope.errors import InputError
 from deformscope.version import __version__
 
 if TYPE_CHECKING:
     from deformscope.runs.exploration_result import ExplorationResult
+    from deformscope.runs.squeeze_result import SqueezeResult
     from deformscope.stages.map.exploration import MapEstimate
 
 
@@ -45,6 +47,19 @@ def run(config: ExploreConfig) -> int:
         return 0
     say(f"deformscope: the recording is complete, with losses: {named(losses)}")
     return EXIT_LOSSES
+
+
+def squeeze(config: SqueezeConfig) -> int:
+    """Squeeze, store the trial, and report. Returns the command's exit status."""
+    from deformscope.runs.squeeze_run import leave, squeeze_on
+
+    def report(result: SqueezeResult) -> None:
+        write_json(result.as_json(), config.output.json)
+        show(result)
+
+    squeezed = squeeze_on(config, report)
+    leave(squeezed)
+    return EXIT_LOSSES if squeezed.result.losses and squeezed.result.recording is not None else 0
 
 
 class _Outputs:

@@ -14,7 +14,7 @@ from deformscope.errors import InputError
 from deformscope.files.arrays_file import numbers, read_arrays
 from deformscope.files.model_file import load_model
 from deformscope.files.pairs import parse_pair
-from deformscope.pictures.dents import dents_png
+from deformscope.pictures.figures import dents_png
 from deformscope.pictures.report import Figure, Findings, Table
 from deformscope.runs import prediction
 from deformscope.runs.poke_comparison import compare

@@ -1,11 +1,14 @@
-"""`deformscope record`, `live`, `verify`, `recover`, `discard`, `replay`, `report` and `export`."""
+"""`deformscope record`, `live`, `verify`, `recover`, `discard`, `replay`, `report`, `export`, `import`, `catalog`."""
 
 from __future__ import annotations
 
 from deformscope.cli import common
 from deformscope.config import (
+    CatalogConfig,
+    CompareConfig,
     DiscardRecordingConfig,
     ExportConfig,
+    ImportConfig,
     LiveConfig,
     RecordConfig,
     RecoverConfig,
@@ -72,7 +75,7 @@ def recover(config: RecoverConfig) -> int:
 
 def export(config: ExportConfig) -> int:
     """Write the export, and list the written files. Returns the command's exit status."""
-    from deformscope.runs.exporting import export_recording
+    from deformscope.runs.recordings import export_recording
 
     with common.fit_progress() as progress:
         found = export_recording(config, progress)
@@ -125,3 +128,59 @@ def report(config: ReportConfig) -> None:
     common.say(f"stages missing: {', '.join(found.lacks) or 'none'}")
     common.wrote("report", out)
     common.write_json({**found.to_dict(), "report": out}, config.json)
+
+
+def import_(config: ImportConfig) -> int:
+    """Import the source, or describe its content. Returns the command's exit status.
+
+    deformscope import --inspect bag.mcap > map.toml
+    deformscope import bag.mcap --map map.toml --record run.rrd
+    """
+    from deformscope.runs.importing import import_source, import_take, inspect_source
+
+    if config.inspect:
+        found = inspect_source(config)
+        if config.output.json != "-":
+            print(found.toml, end="")
+        if config.picture is not None:
+            common.write_file(config.picture, found.picture())
+        shown = {"source": config.source, "topics": found.topics, "map": found.toml}
+        common.write_json(shown | {"streams": [one.as_json() for one in found.values]}, config.output.json)
+        return 0
+    result = import_source(config) if config.pairs is None else import_take(config, config.pairs)
+    common.show(result)
+    common.write_json(result.as_json(), config.output.json)
+    if losses := result.losses:
+        common.say(f"deformscope: the recording is complete, with losses: {named(losses)}")
+    return common.EXIT_LOSSES if losses else 0
+
+
+def catalog(config: CatalogConfig) -> None:
+    """List the recordings, after the index is made or updated."""
+    from deformscope.runs.catalog import PAGE, catalog_page, catalogue, serve_page
+
+    names = [name.strip() for name in config.columns.split(",") if name.strip()]
+    with common.fit_progress() as progress:
+        found = catalogue(config.folder, config.where, config.sort, names, workers=config.workers, progress=progress)
+        page = catalog_page(found, workers=config.workers, progress=progress) if config.page else None
+        if config.serve:
+            serve_page(found, config.workers, progress)
+    common.show(found)
+    if page is not None:
+        common.write_file(config.folder / PAGE, page.encode())
+        common.wrote("page", config.folder / PAGE)
+    if config.json is not None:
+        common.write_json(found.as_json(), config.json)
+    if config.serve:
+        common.keep_page(served=True)
+
+
+def compare(config: CompareConfig) -> None:
+    """Print the differences of two recordings."""
+    from deformscope.runs.catalog import compare_recordings
+
+    found = compare_recordings(config.first, config.second)
+    common.show(found)
+    if found.unaligned:
+        common.say(f"not aligned by contact: {found.unaligned}")
+    common.write_json(found.as_json(), config.json)

@@ -23,7 +23,7 @@ from deformscope.imports.import_map import ASKED, ImportMap, MappedStream
 from deformscope.imports.poses import Pose, Poses
 from deformscope.imports.readers import TABLE_TYPES, FolderReader, Message, Reader
 from deformscope.recording.export.manifest import DRIVER
-from deformscope.recording.item_source import ItemSource
+from deformscope.recording.items import ItemSource
 from deformscope.recording.streams import columns_of
 from deformscope.rig.rig_file import parse_rig
 from deformscope_drivers.clock import Stamp

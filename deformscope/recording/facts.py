@@ -33,7 +33,7 @@ class Facts:
     application, recording: rerun's ids; outcome: what the run recorded at its end, empty if it was interrupted
     losses: numbers of losses by device and kind (`deformscope.recording.losses`); counts: frames by device, and inputs
     until_s: session time of the last row [s], None without one; damage: reason for the end of reading, empty = none
-    discarded: its discarded parts (`deformscope.recording.discards`)
+    discarded: its discarded parts (`deformscope.recording.ledger`)
     absent: devices that the recording names and of which no frame was read"""
 
     application: str = ""

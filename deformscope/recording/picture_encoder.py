@@ -46,7 +46,7 @@ class PictureEncoder:
 
     def write_items(self, items: Sequence[Item], size: int) -> None:
         """Write images without loss, immediately; they are shown as JPEG, with a tenth of the bytes."""
-        from deformscope.log.sequence import canvas_of, prepare_image, range_of
+        from deformscope.log.over_picture import canvas_of, prepare_image, range_of
 
         for frame in (item for item in items if isinstance(item, ColorFrame)):
             self._first_ns = self._first_ns if self._session_ns else frame.stamp.host_ns

@@ -10,10 +10,9 @@ from typing import Any
 
 from deformscope.errors import InputError
 from deformscope.frames import SessionNote
-from deformscope.recording.discards import discards_of
 from deformscope.recording.item_rows import read_rows
 from deformscope.recording.items import read_found
-from deformscope.recording.ledger import check_recording, read_ledger
+from deformscope.recording.ledger import check_recording, discards_of, read_ledger
 from deformscope.recording.lock import is_being_written
 from deformscope.recording.losses import named
 from deformscope.recording.reader import Replay

@@ -25,7 +25,7 @@ from deformscope.imports.readers import open_reader
 from deformscope.imports.source import ImportSource
 from deformscope.imports.values import StreamValues, stream_values
 from deformscope.log.layout import RIG, RigLayout
-from deformscope.pictures.preview import Preview, preview_png
+from deformscope.pictures.recorded import Preview, preview_png
 from deformscope.pictures.report import Table
 from deformscope.plain import plain
 from deformscope.recording.losses import losses_of

@@ -14,7 +14,7 @@ from deformscope.arrays import FloatArray
 from deformscope.config.flags import Device, PokeText
 from deformscope.errors import InputError
 from deformscope.files.model_file import load_model
-from deformscope.pictures.dents import dents_png
+from deformscope.pictures.figures import dents_png
 from deformscope.pictures.report import ColoredBody, Figure, Findings, Table
 from deformscope.plain import Json
 from deformscope.runs.calibration_result import CalibrationResult

@@ -14,8 +14,8 @@ from deformscope.frames import HandFrame
 from deformscope.log.exploration.layout import EXPLORATION
 from deformscope.log.squeeze.layout import SQUEEZE
 from deformscope.pictures import exploration as drawn_of
-from deformscope.pictures.depth_change import depth_change_png
 from deformscope.pictures.evidence import evidence_png, headline
+from deformscope.pictures.figures import depth_change_png
 from deformscope.pictures.messages import counted, format_iou, format_verdict
 from deformscope.pictures.recorded import Curves, cells_png, curves_png
 from deformscope.pictures.report import Figure, Part, ReportVerdict, Section, Table, html_report

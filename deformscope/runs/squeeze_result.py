@@ -131,7 +131,7 @@ class SqueezeResult(LibraryResult):
     @property
     def png(self) -> bytes:
         """The depth change drawn, empty without one."""
-        from deformscope.pictures.depth_change import depth_change_png
+        from deformscope.pictures.figures import depth_change_png
 
         if self.computed is None or (change := self.computed.features).vision is None:
             return b""

@@ -62,8 +62,7 @@ class SqueezeOutcome:
 
 def squeeze_on(config: SqueezeConfig, report: Callable[[SqueezeResult], None]) -> SqueezeOutcome:
     """Squeeze, with the laboratory or the devices of a rig file; store the trial; report the results."""
-    from deformscope.experiments.squeeze.squeeze import Squeezed
-    from deformscope.experiments.squeeze.trial import entry_of, feature_settings, recorded_settings, row_of
+    from deformscope.experiments.squeeze.squeeze import Squeezed, entry_of, feature_settings, recorded_settings, row_of
     from deformscope.files.squeeze_dataset import SqueezeDataset
 
     session = config.session or ("lab-0" if config.rig.startswith(LAB) else f"{datetime.date.today():%Y%m%d}")

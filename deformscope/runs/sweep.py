@@ -27,10 +27,9 @@ import pyarrow.compute as pc
 import deformscope_drivers
 from deformscope.config.executor import ExecutorOptions
 from deformscope.errors import InputError, printable
-from deformscope.executor.journal import Journal
 from deformscope.executor.local import one_thread as one_thread
 from deformscope.executor.local import open_workers
-from deformscope.executor.tasks import TaskOutcome, compute
+from deformscope.executor.tasks import Journal, TaskOutcome, compute
 from deformscope.file_io import make_folder, nearest_file, replacing, resolve
 from deformscope.files.result_table import make_table, write_table
 from deformscope.files.sources import RECORDING_SUFFIX, natural_key

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from deformscope.errors import InputError
 from deformscope.pictures.report import Table
-from deformscope.recording.discards import Discard
 from deformscope.recording.facts import Facts, read_facts, run_rrd
-from deformscope.recording.ledger import LedgerCheck, check_recording, inherited, read_counts
+from deformscope.recording.ledger import Discard, LedgerCheck, check_recording, inherited, read_counts
 from deformscope.recording.lock import is_being_written
 from deformscope.recording.losses import named, to_text, without_frames
 from deformscope.recording.provenance import left_out

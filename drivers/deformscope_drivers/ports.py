@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from deformscope_drivers.announce import running_doubles
+from deformscope_drivers.doubles import running_doubles
 
 
 @dataclass(frozen=True, slots=True)

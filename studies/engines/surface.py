@@ -10,8 +10,8 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from deformscope.arrays import FloatArray
-from deformscope.bench.memory import Meter
 from deformscope.bench.plan import BenchPlan, Note
+from deformscope.bench.steps import Meter
 from deformscope.bench.timing import OURS, Contestant, TimingRow, clock, compare
 from deformscope.stages.map.surface import HeightProcess, fit_surface
 from deformscope.stages.regions.touches import MapGrid

@@ -12,9 +12,15 @@ import numpy as np
 
 from deformscope.experiments.squeeze.features import SqueezeGeometry
 from deformscope.experiments.squeeze.frames import ObservedRecorder, SqueezeFrames
-from deformscope.experiments.squeeze.squeeze import Squeezed, squeeze
+from deformscope.experiments.squeeze.squeeze import (
+    Squeezed,
+    entry_of,
+    feature_settings,
+    recorded_settings,
+    row_of,
+    squeeze,
+)
 from deformscope.experiments.squeeze.squeezing_hand import SqueezingHand, observer_of
-from deformscope.experiments.squeeze.trial import entry_of, feature_settings, recorded_settings, row_of
 from deformscope.files.squeeze_dataset import TRIALS, SqueezeDataset, TrialEntry, TrialRow
 from deformscope.lab.container_setup import CAMERA_HZ, ContainerLab, container_lab
 from deformscope.log.squeeze.layout import SQUEEZE, SqueezeLayout

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from deformscope.config import flags
-from deformscope.pictures.dents import dents_png
+from deformscope.pictures.figures import dents_png
 from deformscope.pictures.report import Figure, Table
 from deformscope.plain import plain
 from deformscope.stages.poke.comparison import PokeComparison

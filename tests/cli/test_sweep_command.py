@@ -241,7 +241,7 @@ def test_what_cannot_be_swept_is_said_in_one_line(
 
 
 def test_a_second_sweep_into_the_same_folder_is_refused(pairs: Path, tmp_path: Path) -> None:
-    from deformscope.executor.journal import Journal
+    from deformscope.executor.tasks import Journal
 
     (tmp_path / "out").mkdir()
     with Journal(tmp_path / "out" / "tasks.jsonl", "tasks"), pytest.raises(InputError, match="another command"):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from deformscope_drivers.announce import announced, announcements, running_doubles
+from deformscope_drivers.doubles import announced, announcements, running_doubles
 from deformscope_drivers.errors import NotConnected
 from deformscope_drivers.transport import SerialTransport
 from deformscope_drivers.wires import PtyWire
@@ -62,7 +62,7 @@ def test_announcements_in_a_folder_of_another_users_are_left_alone(tmp_path: Pat
         own = os.getuid()
         monkeypatch.setattr("os.getuid", lambda: own)
         folder = announcements()
-    monkeypatch.setattr("deformscope_drivers.announce.announcements", lambda: folder)
+    monkeypatch.setattr("deformscope_drivers.doubles.announcements", lambda: folder)
     monkeypatch.setattr("os.getuid", lambda: own + 1)
     with announced("dsa", "/dev/x", "theirs"):
         assert running_doubles() == []

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from deformscope.errors import InputError
-from deformscope.executor.journal import PIECE, Journal
+from deformscope.executor.tasks import PIECE, Journal
 
 
 @pytest.mark.parametrize("cut_off", ["", '{"half": "a li', "x" * (2 * PIECE)])

@@ -32,7 +32,7 @@ def main(first: int, count: int) -> int:
 
     import deformscope.cli.classify
     import deformscope.cli.doctor
-    import deformscope.cli.import_data
+    import deformscope.cli.recordings
     import deformscope.runs.importing
     from tests.imports.foreign_files import stores
 

@@ -14,7 +14,7 @@ from deformscope.log.squeeze.blueprint import squeeze_blueprint
 from deformscope.log.squeeze.display import Fingertips
 from deformscope.log.squeeze.layout import SQUEEZE, SqueezeLayout
 from deformscope.log.squeeze.results import prepare_squeeze_results
-from deformscope.pictures.depth_change import depth_change_png
+from deformscope.pictures.figures import depth_change_png
 from deformscope.recording.items import read_results
 from deformscope.recording.recorder import Recorder
 from deformscope.session import Moment, Step

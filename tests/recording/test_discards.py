@@ -10,8 +10,7 @@ from deformscope import open_recording
 from deformscope.cli import main
 from deformscope.frames import NoteKind, SessionNote
 from deformscope.log.layout import RIG, RigLayout
-from deformscope.recording.discards import discards_of
-from deformscope.recording.ledger import LedgerWriter, check_recording, ledger_path
+from deformscope.recording.ledger import LedgerWriter, check_recording, discards_of, ledger_path
 from deformscope.recording.recorder import Recorder
 from tests.verified import verify_here
 

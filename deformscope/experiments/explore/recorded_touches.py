@@ -23,8 +23,7 @@ from deformscope.experiments.live.device_stages import ALONG_WAY, ApproachChoose
 from deformscope.experiments.measured import FrameData, Looked, SetupGeometry, Touched
 from deformscope.frames import ArmFrame, DepthFrame, Frame, Item, WrenchFrame, host_ns
 from deformscope.recording.item_rows import read_rows
-from deformscope.recording.item_source import ItemSource
-from deformscope.recording.items import read_items, read_results, read_streams
+from deformscope.recording.items import ItemSource, read_items, read_results, read_streams
 from deformscope.recording.reader import Replay
 from deformscope.recording.streams import RecordingTables
 from deformscope.rig.rig_file import Rig

@@ -22,8 +22,7 @@ from deformscope.stages.map.map_score import boundary_distance, match_regions
 from deformscope.stages.map.perception import TrainedField
 from deformscope.stages.map.plan import FieldKernel, TouchChoice, plan_touch
 from deformscope.stages.map.thesis import FIRST_SHARE, SIGMA_E, SIGMA_N, ThesisField, contoured, plan_thesis_touch
-from deformscope.stages.poke.contact import EXPONENT_SD, LOADED, ContactFit
-from deformscope.stages.poke.law_response import LEAST_SHARE
+from deformscope.stages.poke.contact import EXPONENT_SD, LEAST_SHARE, LOADED, ContactFit
 from deformscope.stages.regions.posterior import RegionMap, RegionPosterior
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 

@@ -35,8 +35,8 @@ from deformscope.robot.supervisor import Fault, SafetyDecision
 from deformscope.robot.travel import NotThere
 from deformscope.session import Compute, Moment, RigExperiment, Step, ask
 from deformscope.stages.see.cloud import Intrinsics, back_project
+from deformscope.stages.squeeze.container import outline_px
 from deformscope.stages.squeeze.find import MOVED_SD, compare, find_container, matches
-from deformscope.stages.squeeze.outline import outline_px
 from deformscope.stages.squeeze.patch import hand_pixels, median_of
 from deformscope.stages.squeeze.placement import ContainerFit, ContainerSighting, HandPlacement
 from deformscope.stages.squeeze.trial import SqueezePhase, SqueezeStop

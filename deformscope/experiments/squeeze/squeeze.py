@@ -5,17 +5,31 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
+import datetime
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.experiments.squeeze.features import SqueezeGeometry, TrialFeatures, trial_features
 from deformscope.experiments.squeeze.frames import SqueezeObserver
-from deformscope.experiments.squeeze.squeezing_hand import AFTER_S, HandWait, PreShape, SqueezeEnded, SqueezeOnce
+from deformscope.experiments.squeeze.squeezing_hand import (
+    AFTER_S,
+    HandWait,
+    PreShape,
+    SqueezeEnded,
+    SqueezeOnce,
+    rule_of,
+)
+from deformscope.files.squeeze_dataset import TrialEntry, TrialRow
+from deformscope.robot.squeeze_setup import SqueezeSetup
 from deformscope.session import Compute, Moment, RigExperiment, Step, ask
+from deformscope.stages.squeeze.patch import SIDE_PX
 from deformscope.stages.squeeze.placement import ContainerSighting, HandPlacement
-from deformscope.stages.squeeze.trial import ContentPosterior, SqueezePhase, SqueezeStop
+from deformscope.stages.squeeze.trial import PHYSICAL, ContentPosterior, SqueezePhase, SqueezeStop
+from deformscope.version import __version__
 
 Name = Callable[[dict[str, FloatArray]], tuple[str, tuple[str, ...], FloatArray]]
 """Names a content from all features by modality: the modalities used, labels, and their probabilities (k,)."""
@@ -114,3 +128,40 @@ def posterior_of(computed: TrialFeatures, name: Name) -> ContentPosterior:
     events = computed.events
     modalities, labels, probability = name(computed.modalities)
     return ContentPosterior((events.steady_ns - events.first_ns) / 1e9, modalities, labels, probability, -1)
+
+
+# A squeeze as a trial of a data set, and as the settings of its recording
+
+
+def feature_settings(setup: SqueezeSetup) -> dict[str, Any]:
+    """Settings of a data set's features: features compare only if their settings are equal."""
+    return {"tactile_end": setup.hand.tactile_end, "patch_px": SIDE_PX, "physical": list(PHYSICAL)}
+
+
+def recorded_settings(setup: SqueezeSetup) -> dict[str, Any]:
+    """Settings that a recording needs so that its results can be computed again."""
+    recorded = {"names": dataclasses.asdict(setup.names), "rule": dataclasses.asdict(rule_of(setup))}
+    recorded |= {"squeeze": dataclasses.asdict(setup.squeeze), "features": feature_settings(setup)}
+    return {"squeezed": recorded | {"geometry": SqueezeGeometry.of(setup).as_json()}, "simulated": setup.simulated}
+
+
+def entry_of(setup: SqueezeSetup, content: str, container: str, session: str, seed: int) -> TrialEntry:
+    """The trial's entry before it was squeezed."""
+    return TrialEntry(
+        trial=f"{session}-{container or 'container'}-{seed:05d}",
+        content=content,
+        container=container,
+        container_type=setup.container.kind,
+        session=session,
+        T_hand_container=tuple(map(float, setup.grasp.T_hand_container.ravel())),
+        seed=seed,
+        software=f"deformscope {__version__}",
+        recorded_at=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+    )
+
+
+def row_of(entry: TrialEntry, features: TrialFeatures | None) -> TrialRow:
+    """The entry with its features, if there are any."""
+    if features is None:
+        return TrialRow(entry)
+    return TrialRow(entry, features.modalities, features.series)

@@ -21,8 +21,7 @@ from deformscope.robot.mesh_files import read_meshes
 from deformscope.robot.squeeze_plan import PAD_ALONG_M, hand_capsules
 from deformscope.session import measuring
 from deformscope.stages.see.cloud import Intrinsics
-from deformscope.stages.squeeze.container import ContainerModel, ModelRenderer
-from deformscope.stages.squeeze.outline import outline_px
+from deformscope.stages.squeeze.container import ContainerModel, ModelRenderer, outline_px
 from deformscope.stages.squeeze.patch import DepthChange, around, depth_change, hand_pixels, median_of
 from deformscope.stages.squeeze.track import PoseEstimate, TrackOptions, locate, track
 from deformscope.stages.squeeze.trial import ContainerChange, TrackedContainer

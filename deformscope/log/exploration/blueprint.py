@@ -8,7 +8,6 @@ from typing import Literal
 import rerun.blueprint as rrb
 
 from deformscope.frames import Stream
-from deformscope.log.exploration.dent import DENT
 from deformscope.log.exploration.display import (
     FORCE,
     GAIN,
@@ -22,7 +21,7 @@ from deformscope.log.exploration.display import (
 )
 from deformscope.log.exploration.perception import ERROR, PIXELS, TOUCH, UNDER
 from deformscope.log.exploration.perception import MAPS as FIELD_MAPS
-from deformscope.log.exploration.scene import SCENE, SURFACE_FRAME
+from deformscope.log.exploration.scene import DENT, SCENE, SURFACE_FRAME
 from deformscope.log.rig.blueprint import FLOOR, LEGEND, blueprint_of, depth_view, named, space_view
 from deformscope.log.rig.columns import root
 from deformscope.log.rig.numbers import plotted

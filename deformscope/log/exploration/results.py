@@ -32,8 +32,6 @@ from deformscope.arrays import FloatArray
 from deformscope.frames import Stream
 from deformscope.log.canvas import TEXT
 from deformscope.log.exploration import display, scene
-from deformscope.log.exploration.dent import DENT as DENT_VIEW
-from deformscope.log.exploration.dent import log_dent
 from deformscope.log.exploration.perception import (
     ERROR,
     FRAMES,
@@ -43,6 +41,8 @@ from deformscope.log.exploration.perception import (
     log_tool,
     log_under_touch,
 )
+from deformscope.log.exploration.scene import DENT as DENT_VIEW
+from deformscope.log.exploration.scene import log_dent
 from deformscope.log.result_batch import ResultBatch, png_view
 from deformscope.log.rig.columns import Batch, Place, states
 from deformscope.log.rig.numbers import plotted

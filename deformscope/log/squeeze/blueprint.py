@@ -11,8 +11,7 @@ from deformscope.frames import Stream
 from deformscope.log.rig.blueprint import blueprint_of, plot_view, rig_views, tactile_view
 from deformscope.log.rig.columns import root
 from deformscope.log.rig.numbers import plotted
-from deformscope.log.squeeze.display import CHANGE, CONTAINER, CONTENT, FORCE, MEASURED, NAMED
-from deformscope.log.squeeze.placing import place_views
+from deformscope.log.squeeze.display import CHANGE, CONTAINER, CONTENT, FORCE, MEASURED, NAMED, place_views
 from deformscope.pictures.palette import BACKGROUND
 from deformscope.rows import ENTITIES
 from deformscope.stages.squeeze.trial import SqueezePhase

@@ -42,7 +42,7 @@ class SqueezeLayout(RecordingLayout):
         )
 
     def log_start(self, rec: rr.RecordingStream) -> None:
-        from deformscope.log.squeeze.placing import log_place_start
+        from deformscope.log.squeeze.display import log_place_start
         from deformscope.log.squeeze.results import log_squeeze_start
 
         log_squeeze_start(rec, self._fingertips())

@@ -21,7 +21,7 @@ import rerun as rr
 from deformscope.log.result_batch import ResultBatch
 from deformscope.log.rig.columns import Batch, log_series, states
 from deformscope.log.squeeze import display
-from deformscope.log.squeeze.placing import log_placement, log_sighting
+from deformscope.log.squeeze.display import log_placement, log_sighting
 from deformscope.log.views import SOMETIMES, ShownStage, Views, views_of
 from deformscope.pictures.palette import tints_of
 from deformscope.rows import ENTITIES

@@ -29,9 +29,8 @@ from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.gaussian_process import gaussian_between
 from deformscope.stages.map.exploration import InclusionsResult
-from deformscope.stages.poke.contact import EXPONENT
+from deformscope.stages.poke.contact import CONTACTS, EXPONENT, law_response
 from deformscope.stages.poke.inclusion_footprint import contact_radius, contrast_share, footprint, inclusion_shift
-from deformscope.stages.poke.law_response import CONTACTS, law_response
 from deformscope.stages.regions.posterior import RegionMap
 from deformscope.stages.regions.touch_error import LAW_SD, TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Self
 
+import cv2
 import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
@@ -142,3 +143,90 @@ class ModelRenderer:
         left, top = np.clip(low, 0, (shape[1], shape[0]))
         right, bottom = np.clip(high, 0, (shape[1], shape[0]))
         return (int(left), int(top), int(right), int(bottom))
+
+
+# The visible edges of a rigid model, to draw over a camera's image (Thesis fig. 2.8)
+
+SHARP_COSINE = 0.85
+"""Faces whose normals differ by more meet in a visible edge."""
+
+
+def outline_px(model: ContainerModel, camera: Intrinsics, T_camera_container: FloatArray) -> FloatArray:
+    """(n, 2, 2) both ends, as (column, row), of the model's sharp edges on faces towards the camera, and of its
+    silhouette; none if a part of it is behind the camera."""
+    corners = model.vertices_m @ T_camera_container[:3, :3].T + T_camera_container[:3, 3]
+    if (corners[:, 2] <= 0.0).any():
+        return np.zeros((0, 2, 2))
+    faces = model.triangles
+    normal = np.cross(corners[faces[:, 1]] - corners[faces[:, 0]], corners[faces[:, 2]] - corners[faces[:, 0]])
+    normal = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-15)
+    towards = np.einsum("ij,ij->i", normal, corners[faces].mean(axis=1)) < 0.0
+    sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    of_face = np.tile(np.arange(len(faces)), 3)
+    # meshes may repeat a corner for each of its faces
+    _, first, at = np.unique(np.round(corners, 7), axis=0, return_index=True, return_inverse=True)
+    places, ends = corners[first], np.sort(np.ravel(at)[sides], axis=1)
+    order = np.lexsort((ends[:, 1], ends[:, 0]))
+    ends, of_face = ends[order], of_face[order]
+    pairs = np.flatnonzero((ends[1:] == ends[:-1]).all(axis=1))
+    one, other = of_face[pairs], of_face[pairs + 1]
+    sharp = np.einsum("ij,ij->i", normal[one], normal[other]) < SHARP_COSINE
+    seen = (towards[one] != towards[other]) | (sharp & (towards[one] | towards[other]))
+    pixels = places[:, :2] / places[:, 2:] * camera.focal_px + camera.centre_px
+    return np.asarray(pixels[ends[pairs[seen]]])
+
+
+# Walls that bulge or are pressed in, by a container's content, by the air in it, or by fingers.
+#
+# A wall does not move at the container's edges, where another one holds it, and moves most in its middle. A tracker of
+# rigid bodies would follow it; so the bulge of each visible wall is estimated together with the pose
+
+BULGE_M = 0.003
+"""Prior standard deviation of the bulge of a wall's middle. Chosen: a carton's walls."""
+CREASE_DEG = 30.0
+"""Least angle between neighbouring pixels of different walls; a round wall turns less."""
+LEAST_PIXELS = 150
+"""Fewest pixels of a wall: a smaller one is treated as rigid."""
+MOST = 4
+"""Most walls that are used: the largest ones."""
+LEVEL_M = 0.01
+"""Smallest slope of a wall's height: less is rounding of the rendering."""
+
+
+def bulge_shapes(view: ModelView, height_m: FloatArray) -> FloatArray:
+    """(H, W, 2 k) motion of the k largest walls of a rendering (H, W) along their normals per unit motion of their
+    middle, and per unit difference between below and above, as under a liquid's pressure. The shape of a bulge is 0 at
+    the edges and on other walls.
+
+    height_m: (H, W) height of each pixel's point, container frame. A wall that is only partly in the image counts as
+    rigid"""
+    seen = np.isfinite(view.depth_m)
+    inner = seen & ~_creases(view.outward, seen)
+    _, label, size, _ = cv2.connectedComponentsWithStats(inner.astype(np.uint8), connectivity=4)
+    beyond = np.concatenate([label[0], label[-1], label[:, 0], label[:, -1]])  # their edges are not seen
+    large = np.flatnonzero(size[:, cv2.CC_STAT_AREA] >= LEAST_PIXELS)
+    walls = sorted(set(large) - {0, *beyond}, key=lambda wall: -size[wall, cv2.CC_STAT_AREA])
+    away = cv2.distanceTransform(inner.astype(np.uint8), cv2.DIST_L2, 3).astype(np.float64)
+    shapes = np.zeros((*seen.shape, 2 * min(len(walls), MOST)))
+    for number, wall in enumerate(walls[:MOST]):
+        own = label == wall
+        share, height = np.where(own, away, 0.0) / away[own].max(), height_m[own]
+        low, high = height.min(), height.max()
+        above = np.where(own, 2.0 * height_m - low - high, 0.0) / max(high - low, LEVEL_M)
+        shapes[..., 2 * number] = share * (2.0 - share)
+        shapes[..., 2 * number + 1] = shapes[..., 2 * number] * above
+    return shapes
+
+
+def _creases(normal: FloatArray, seen: BoolArray) -> BoolArray:
+    """(H, W) pixels next to one of another wall."""
+    found = np.zeros(seen.shape, dtype=bool)
+    least = np.cos(np.radians(CREASE_DEG))
+    for axis in (0, 1):
+        first = tuple(slice(None, -1) if one == axis else slice(None) for one in (0, 1))
+        second = tuple(slice(1, None) if one == axis else slice(None) for one in (0, 1))
+        apart = np.einsum("hwi,hwi->hw", normal[first], normal[second]) < least
+        apart &= seen[first] & seen[second]
+        found[first] |= apart
+        found[second] |= apart
+    return found

@@ -19,8 +19,7 @@ from deformscope.capsule import Capsule
 from deformscope.errors import InputError
 from deformscope.stages.see.cloud import Intrinsics, axial_noise_m
 from deformscope.stages.see.robot import outside_capsules
-from deformscope.stages.squeeze.bulge import BULGE_M
-from deformscope.stages.squeeze.container import ModelRenderer, ModelView
+from deformscope.stages.squeeze.container import BULGE_M, ModelRenderer, ModelView
 from deformscope.stages.squeeze.track import FLATTEST, JUMP_M
 
 SIDE_PX = 61

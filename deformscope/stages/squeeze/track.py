@@ -24,8 +24,7 @@ from scipy.spatial.transform import Rotation
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.see.cloud import axial_noise_m
-from deformscope.stages.squeeze.bulge import BULGE_M, bulge_shapes
-from deformscope.stages.squeeze.container import ModelRenderer, ModelView
+from deformscope.stages.squeeze.container import BULGE_M, ModelRenderer, ModelView, bulge_shapes
 
 CORRELATED_PX = 3.0
 """Number of pixels over which a structured-light camera's depth noise is correlated: it matches windows of pixels."""

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from deformscope.arrays import FloatArray
-from deformscope.stages.poke.contact import ContactFit, fit_approach
-from deformscope.stages.poke.law_response import CONTACTS, LEAST_SHARE, law_response
+from deformscope.stages.poke.contact import CONTACTS, LEAST_SHARE, ContactFit, fit_approach, law_response
 
 FORCE_N, DEPTH_M = 5.0, 0.009
 UP = np.array([0.0, 0.0, 1.0])
