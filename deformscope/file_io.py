@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import difflib
+import hashlib
 import os
+import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from datetime import datetime
+from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import BinaryIO
@@ -150,3 +153,24 @@ def new_recording(folder: Path, name: str) -> Path:
             _named.add(path)
             return path
     raise InputError("fewer recordings in one second", "100", where=first)
+
+
+# Paths for rerun of files whose names are not UTF-8, which rerun cannot open
+
+
+def utf8_path(path: Path) -> Path:
+    """The path, or, if it is not UTF-8, a link to it, which exists until this process ends."""
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        absolute = Path.cwd() / path
+        link = Path(_links().name) / (hashlib.sha256(os.fsencode(absolute)).hexdigest() + path.suffix)
+        if not link.is_symlink():
+            link.symlink_to(absolute)
+        return link
+    return path
+
+
+@cache
+def _links() -> tempfile.TemporaryDirectory[str]:
+    return tempfile.TemporaryDirectory(prefix="deformscope-")

@@ -51,9 +51,8 @@ from deformscope.stages.map.exploration import (
     TouchEstimate,
     TouchForecast,
 )
-from deformscope.stages.map.force_pose import ForcePose
 from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement
-from deformscope.stages.map.perception import LookPerception, TouchPerception
+from deformscope.stages.map.perception import ForcePose, LookPerception, TouchPerception
 from deformscope.stages.squeeze.events import SqueezeEvents
 from deformscope.stages.squeeze.placement import ContainerSighting, HandPlacement
 from deformscope.stages.squeeze.trial import (

@@ -164,7 +164,7 @@ class RemovalScene:
     def T_surface_camera(self, about: About) -> FloatArray:
         """(4, 4) the estimator's pose of the camera: displaced by `OFF_M` and `OFF_RAD` in random directions, turned
         about its own place or about the surface's middle."""
-        T = self.view.surface_from_camera
+        T = self.view.T_world_camera
         if about == "nothing":
             return T
         shift, axis = (one / np.linalg.norm(one) for one in self._random.standard_normal((2, 3)))
@@ -301,7 +301,7 @@ def _as_seen(
     points_m: npt.NDArray[np.floating], T: npt.NDArray[np.floating], scene: RemovalScene
 ) -> npt.NDArray[np.floating]:
     """(n, 3) points where they were truly seen, from where they are taken to be."""
-    back = scene.view.surface_from_camera @ np.linalg.inv(T)
+    back = scene.view.T_world_camera @ np.linalg.inv(T)
     return np.asarray(points_m @ back[:3, :3].T + back[:3, 3])
 
 

@@ -38,14 +38,13 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "executor": ("errors", "processes", "version"),
     # What is reported of a result, declared where its dataclass is.
     "results": ("plain",),
-    "capsule": ("arrays",),
     "solid": ("arrays",),
     "images": ("arrays", "errors", "file_io"),
     "frames": ("arrays",),
     # Stages are pure: arrays in, frozen results out.
     "stages.gaussian_process": ("arrays", "errors"),
     "stages.msm": ("arrays", "errors"),
-    "stages.see": ("arrays", "capsule", "errors", "solid"),
+    "stages.see": ("arrays", "errors", "solid"),
     "stages.fit": ("arrays", "errors", "results", "stages.gaussian_process", "stages.msm"),
     "stages.regions": ("arrays", "errors", "stages.gaussian_process"),
     "stages.poke": (
@@ -56,14 +55,14 @@ LAYERS: dict[str, tuple[str, ...]] = {
         *("arrays", "errors", "results", "stages.gaussian_process", "stages.msm", "stages.see", "stages.fit"),
         *("stages.regions", "stages.poke"),
     ),
-    "stages.squeeze": ("arrays", "capsule", "errors", "executor", "processes", "results", "stages.see"),
+    "stages.squeeze": ("arrays", "solid", "errors", "executor", "processes", "results", "stages.see"),
     "stages.setup": ("arrays", "errors"),
     "pictures": ("arrays", "errors", "images", "processes", "results", *STAGES),
     "log": ("arrays", "frames", "images", "pictures", "plain", "rows", *STAGES),
     "rig": ("errors", "file_io", "frames"),
-    "robot": ("arrays", "capsule", "errors", "rig", "solid"),
+    "robot": ("arrays", "errors", "rig", "solid"),
     # The simulated world must not share the model that is fitted to it.
-    "lab": ("arrays", "capsule", "errors", "processes", "rig", "robot", "solid"),
+    "lab": ("arrays", "errors", "processes", "rig", "robot", "solid"),
     "session": ("frames",),
     "rows": ("arrays", "frames", "images", "results", "stages.map", "stages.squeeze"),
     "page.server": ("errors",),
@@ -75,7 +74,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     # What others recorded, as frames.
     "imports": ("arrays", "errors", "file_io", "files", "frames", "images", "recording", "rig", "rows"),
     "experiments": (
-        *("arrays", "capsule", "config", "errors", "file_io", "files", "frames", "images", "processes", "recording"),
+        *("arrays", "solid", "config", "errors", "file_io", "files", "frames", "images", "processes", "recording"),
         *("results", "rig", "robot", "rows", "session", "version", *STAGES),
     ),
     # A GPU machine that has numpy, scipy and warp alone runs it.

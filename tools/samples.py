@@ -20,8 +20,6 @@ import numpy as np
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.file_io import replacing
-from deformscope.lab.finite_strain import Block, PressedBlock, press
-from deformscope.lab.foam import FOAMS
 from deformscope.lab.slab import RigidTip, Slab
 from deformscope.lab.slab import press as press_slab
 from deformscope.stages.msm.clusters import lattice as lattice_clusters
@@ -29,8 +27,10 @@ from deformscope.stages.msm.materials import Plasticity
 from deformscope.stages.msm.plastic import PlasticMsm
 from deformscope.stages.msm.solver import Msm
 from studies.rendered_video import SCALE, RenderedVideo, VideoCase, encode, force_table, render
+from studies.reproduce.pressed_block import Block, PressedBlock, press
 from studies.reproduce.pressed_cubes import SIDE_M, thesis_cubes
 from studies.reproduce.speckle import View, film
+from studies.reproduce.virtual_foams import FOAMS
 
 FOLDER = Path(__file__).resolve().parents[1] / "deformscope" / "samples"
 FOAM = FOAMS[2]

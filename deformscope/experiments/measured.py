@@ -25,16 +25,15 @@ from deformscope.experiments.explore.options import (
 )
 from deformscope.rig.rig_file import Tool, Workspace
 from deformscope.robot.clearance import ArmClearance
-from deformscope.robot.description import AS_CAPSULES, RobotDescription
+from deformscope.robot.description import AS_CAPSULES, RobotDescription, arm_shape
 from deformscope.robot.placement import Placement, follow
 from deformscope.robot.readings import ArmSample
 from deformscope.robot.setup import CameraView, Setup
-from deformscope.robot.shape import arm_shape
 from deformscope.robot.supervisor import Limits
 from deformscope.robot.touch import STILL_S, TouchPlan, centers_of, forces_at
 from deformscope.robot.travel import NotThere, find_way
-from deformscope.stages.map.force_pose import force_pose
 from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement
+from deformscope.stages.map.perception import force_pose
 from deformscope.stages.poke.contact import ArmCompliance
 from deformscope.stages.poke.layer_seen import AROUND_M, WITHIN_M, TableSeen, find_table
 from deformscope.stages.regions.touch_error import TouchErrorModel

@@ -18,13 +18,12 @@ from typing import Any, Protocol
 import pyarrow as pa
 
 from deformscope.errors import InputError
-from deformscope.file_io import check_size, nearest_file
+from deformscope.file_io import check_size, nearest_file, utf8_path
 from deformscope.files.delimited import COLUMN_BYTES, TableForm, form_of, moment_ns, open_table, unique_names
 from deformscope.files.sources import natural_key
 from deformscope.files.table_file import TEXTS
 from deformscope.imports.unpacked import bounded, check_chunks
 from deformscope.recording.export.manifest import ExportedStream, Manifest, read_manifest
-from deformscope.recording.utf8_path import utf8_path
 
 BAGS = (".bag", ".mcap", ".db3")
 TABLES = (*TEXTS, ".parquet")

@@ -14,7 +14,6 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from deformscope.arrays import FloatArray
-from deformscope.capsule import Capsule, moved, outside_m
 from deformscope.errors import InputError
 from deformscope.lab.arm_contact import ARM_CYCLE_NS
 from deformscope.lab.arms import ArmInLab
@@ -28,8 +27,9 @@ from deformscope.lab.touch_lab import Spoiled
 from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.rig_file import Workspace
 from deformscope.rig.source import RigMember, RigSource
+from deformscope.robot.description import link_capsules
 from deformscope.robot.placement import Placement, best_joints
-from deformscope.robot.shape import link_capsules
+from deformscope.solid import Capsule, moved, outside_m
 from deformscope_drivers.arm.kinematics import Chain, transform
 from deformscope_drivers.clock import Clock
 from deformscope_drivers.depth_camera import View
@@ -217,7 +217,9 @@ class CarriedHandLab(SqueezeLab):
 
     def __init__(self, arm: str, placement: Placement, case: ContainerCase, camera_hz: float) -> None:
         self._driver, self.placement = arm, placement
-        self.chain = chain_of_arm(arm)
+        if arm not in T_BASE_TABLE:
+            raise InputError("an arm of the laboratory: jaco or kuka", repr(arm))
+        self.chain = J2N6S300 if arm == "jaco" else KUKA[KukaConfig().model]
         self.functions: Spoiled | None = None
         self.wire: MemoryTransport | None = None
         self.scheduled: list[tuple[int, Any]] = []
@@ -269,13 +271,6 @@ class CarriedHandLab(SqueezeLab):
     @property
     def _devices(self) -> tuple[Device[Any], ...]:
         return (*self._three, self.arm)
-
-
-def chain_of_arm(arm: str) -> Chain:
-    """Kinematic chain of the laboratory's arm of a kind. Raises InputError for another kind."""
-    if arm not in T_BASE_TABLE:
-        raise InputError("an arm of the laboratory: jaco or kuka", repr(arm))
-    return J2N6S300 if arm == "jaco" else KUKA[KukaConfig().model]
 
 
 def ready_deg(chain: Chain, placement: Placement) -> FloatArray:

@@ -127,7 +127,7 @@ class Shell:
     """The elastic wall of a shape. Displacements and loads are positive inwards.
 
     s_m, z_m: nodes of its mesh; patch_area_m2: (p,) and patch_z_m: (p,) of the patches that a filling acts on, those of
-    the side at +x first"""
+    the side at +x first; patch_rows: (p, unknowns) load of a unit pressure on each"""
 
     def __init__(self, shape: ContainerShape) -> None:
         self.shape = shape
@@ -153,7 +153,7 @@ class Shell:
         own = stiffness[free][:, free].tocsc()
         # positive definite: no row is exchanged, and the order is that of least fill-in
         self._factors = splu(own, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-        self._patches, self.patch_area_m2, self.patch_z_m = self._filled_patches()
+        self.patch_rows, self.patch_area_m2, self.patch_z_m = self._filled_patches()
         self.volume_row: FloatArray = np.kron(self._along.integral, self._up.integral)
 
     def rows(self, s_m: FloatArray, z_m: FloatArray) -> csr_array:
@@ -169,11 +169,6 @@ class Shell:
         high_m by 1 per metre downwards."""
         weight = (lambda z: high_m - z) if slope else np.ones_like
         return np.kron(self._along.integral, self._up.weighted(low_m, high_m, weight))
-
-    @cached_property
-    def patch_rows(self) -> FloatArray:
-        """(p, unknowns) load of a unit pressure on each patch."""
-        return self._patches
 
     def solve(self, loads: FloatArray) -> FloatArray:
         """Fields (unknowns, n) under loads (unknowns, n), inwards."""
@@ -191,7 +186,7 @@ class Shell:
     def filling_compliance(self) -> tuple[FloatArray, FloatArray]:
         """(unknowns, p + 1) fields of unit pressures on the patches and of one on the whole wall; (p + 1, p + 1) their
         mutual effects: integrals over patches and whole wall."""
-        rows = np.vstack([self._patches, self.volume_row])
+        rows = np.vstack([self.patch_rows, self.volume_row])
         fields = self.solve(rows.T)
         return fields, rows @ fields
 

@@ -13,11 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from deformscope.arrays import FloatArray
-from deformscope.capsule import Capsule
 from deformscope.lab import ray_camera
 from deformscope.lab.container_constants import PAD_OFFSET_M
 from deformscope.lab.container_shell import ContainerShape
 from deformscope.lab.container_world import hand_from_container
+from deformscope.solid import Capsule
 from deformscope_drivers.sdh.kinematics import FINGERS, finger_points
 
 CAMERA = ray_camera.DepthViewConfig(distance_m=1.0, elevation_deg=20.0, azimuth_deg=-20.0)

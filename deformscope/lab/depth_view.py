@@ -17,7 +17,6 @@ import numpy as np
 import numpy.typing as npt
 
 from deformscope.arrays import FloatArray, IntArray
-from deformscope.capsule import Capsule
 from deformscope.errors import InputError
 from deformscope.lab.ray_camera import (
     COLOR,
@@ -31,7 +30,7 @@ from deformscope.lab.ray_camera import (
     looking_at,
 )
 from deformscope.lab.scenes import Scene
-from deformscope.solid import PosedSolid
+from deformscope.solid import Capsule, PosedSolid
 
 SPACING_M = 0.003
 """Distance between the vertices of the foam's surface."""
@@ -66,11 +65,6 @@ class DepthView(RayCamera):
         self._grid = (len(axes[0]), len(axes[1]))
         self._still = self._all(self._rest)
         self._still_m = self.points_m(self._still.depth_m)
-
-    @property
-    def surface_from_camera(self) -> FloatArray:
-        """(4, 4) pose of the camera: x right, y down, z along the view."""
-        return self.T_world_camera
 
     def render(
         self, displaced_m: FloatArray | None = None, capsules: Sequence[Capsule] = (), solids: Sequence[PosedSolid] = ()

@@ -28,11 +28,10 @@ from deformscope.lab.scenes import Scene, built_in
 from deformscope.processes import SPAWN, child_process
 from deformscope.rig.rig_file import RigDevice
 from deformscope.robot.by_hand import Person
-from deformscope.robot.description import AS_CAPSULES, RobotDescription
+from deformscope.robot.description import AS_CAPSULES, RobotDescription, arm_shape
 from deformscope.robot.placement import Placement
 from deformscope.robot.robot import sleep_until
 from deformscope.robot.setup import Truth
-from deformscope.robot.shape import arm_shape
 from deformscope_drivers.arm.kinematics import FloatArray
 from deformscope_drivers.clock import monotonic_ns
 from deformscope_drivers.depth_camera import SyntheticDepthCamera, View
@@ -142,7 +141,7 @@ class LiveLab:
     @property
     def T_surface_camera(self) -> FloatArray:
         """(4, 4) pose of the camera [m]."""
-        return np.asarray(self.view.surface_from_camera, np.float64)
+        return np.asarray(self.view.T_world_camera, np.float64)
 
     @property
     def max_force_n(self) -> float:
@@ -278,7 +277,7 @@ def _look(pipe: Connection, table: _Table, shared: _Shared, rate_hz: float) -> N
         exact = view.render(moved, capsules, table.described.solids(table.placement, links))
         if table.randomized is not None and shared.board.value:
             T_surface_board = table.placement.T_surface_base @ links[-1] @ table.randomized.T_ee_board
-            board.put_into(exact.color, view.intrinsics, np.linalg.inv(view.surface_from_camera) @ T_surface_board)
+            board.put_into(exact.color, view.intrinsics, np.linalg.inv(view.T_world_camera) @ T_surface_board)
         try:
             pipe.send(View(exact.depth_m, exact.color))
         except OSError:  # nobody looks any more

@@ -11,8 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
-from deformscope.capsule import Capsule
-from deformscope.solid import PosedSolid
+from deformscope.solid import Capsule, PosedSolid
 from deformscope_drivers.depth_camera.image import Intrinsics
 
 NOTHING, TABLE, FOAM, ROBOT, CONTAINER = 0, 1, 2, 3, 4

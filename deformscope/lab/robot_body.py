@@ -11,12 +11,10 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from deformscope.capsule import Capsule
 from deformscope.rig.sections import CableSection, ShapeSection
-from deformscope.robot.description import Removal, RobotDescription, describe
+from deformscope.robot.description import Removal, RobotDescription, arm_shape, describe
 from deformscope.robot.placement import Placement
-from deformscope.robot.shape import arm_shape
-from deformscope.solid import PosedSolid
+from deformscope.solid import Capsule, PosedSolid
 from deformscope_drivers.arm.kinematics import FloatArray
 from deformscope_drivers.jaco.chains import J2N6S300
 

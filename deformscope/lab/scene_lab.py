@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deformscope.arrays import FloatArray
-from deformscope.capsule import Capsule
 from deformscope.errors import InputError
 from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
 from deformscope.lab.buried_world import slab_world
@@ -24,11 +23,10 @@ from deformscope.lab.touch_lab import TouchLab
 from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.rig_file import Tool, Workspace
 from deformscope.rig.source import RigMember, RigSource
-from deformscope.robot.description import AS_CAPSULES, RobotDescription
+from deformscope.robot.description import AS_CAPSULES, RobotDescription, arm_shape
 from deformscope.robot.placement import Placement, best_joints
 from deformscope.robot.setup import T_BASE_SURFACE, CameraView, Setup, Truth
-from deformscope.robot.shape import arm_shape
-from deformscope.solid import PosedSolid
+from deformscope.solid import Capsule, PosedSolid
 from deformscope_drivers.depth_camera import SENSORS, View
 from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig
 from deformscope_drivers.device import Device
@@ -118,7 +116,7 @@ class SceneLab:
             camera=CameraView(
                 (intrinsics.fx_px, intrinsics.fy_px),
                 (intrinsics.cx_px, intrinsics.cy_px),
-                T_surface_camera=self.view.surface_from_camera,
+                T_surface_camera=self.view.T_world_camera,
                 rate_hz=CAMERA_HZ,
             ),
             open_source=self._source,

@@ -38,7 +38,9 @@ import numpy as np
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.lab.foam import PLATE_M2
+
+PLATE_M2 = 0.0324
+"""Area of the hardness test's plate (ISO 2439: 203 mm across)."""
 
 PLATEAU_SHARE = 0.05
 """Plateau stress over initial modulus of conventional foam (Gibson and Ashby)."""

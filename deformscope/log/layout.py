@@ -95,7 +95,7 @@ class RigLayout(RecordingLayout):
     def blueprint(self, *, on_page: bool = False) -> rr.blueprint.Blueprint:
         """A page shows the devices' health outside the viewer."""
         if self.stages:
-            from deformscope.log.stages.views import stage_blueprint
+            from deformscope.log.stages.over_image import stage_blueprint
 
             return stage_blueprint(self.stages, self.streams)
         from deformscope.log.rig.blueprint import rig_blueprint

@@ -9,8 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import rerun as rr
 
-from deformscope.arrays import IntArray
-from deformscope.log.rig.columns import Batch, Columns, moments, recorded, scalars, states
+from deformscope.log.rig.columns import Batch, moments, recorded, scalars, states
 from deformscope.pictures.palette import BAD, Rgb
 from deformscope.pictures.render_process import render
 from deformscope.rows import ENTITIES, SERIES
@@ -27,28 +26,20 @@ class ResultBatch:
     """A batch, and the place on the timelines at which its rows are logged."""
 
     def __init__(self, batch: Batch, session_ns: int) -> None:
-        self._batch = batch
+        self.batch = batch
         self._times = moments([session_ns], 0)
 
     def show(self, path: str, entity: rr.AsComponents) -> None:
         """Log one row of an entity."""
-        self._batch.show(path, self._times, entity)
-
-    def show_series(self, path: str, host_ns: IntArray, columns: Columns) -> None:
-        """Log rows of an entity, each at its time on the host's clock."""
-        self._batch.send_series(path, host_ns, columns)
-
-    def log_static(self, path: str, entity: rr.AsComponents) -> None:
-        """Log an entity that is constant but only known now."""
-        self._batch.log(path, entity, static=True)
+        self.batch.show(path, self._times, entity)
 
     def record(self, result: Any) -> None:
         """Every field of a result, without loss: one row, or those of a series."""
         if (path := SERIES.get(type(result))) is not None:
             own = rr.AnyValues.columns(host_ns=result.host_ns)
-            self._batch.send_series(path, result.host_ns, [*scalars(result.values), *own])
+            self.batch.send_series(path, result.host_ns, [*scalars(result.values), *own])
             return
-        self._batch.send_columns(ENTITIES[type(result)], self._times, recorded([result]))
+        self.batch.send_columns(ENTITIES[type(result)], self._times, recorded([result]))
 
     def show_png(self, path: str, draw: Callable[P, bytes], *given: P.args, **named: P.kwargs) -> None:
         """Log the PNG that `draw`, a function of a module, makes from its arguments."""
@@ -71,7 +62,7 @@ class ResultBatch:
         whose name states why, is never among them"""
         path = ENTITIES[type(phase)]
         if phase.name not in known:
-            self.log_static(path, states({**known, phase.name: BAD}))
+            self.batch.log(path, states({**known, phase.name: BAD}), static=True)
         self.show(path, rr.StateChange(state=phase.name))
 
     def show_points(

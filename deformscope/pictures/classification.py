@@ -113,13 +113,9 @@ def _profiles_png(table: LabelledTable, modality: str) -> bytes:
         axis.set_xlabel(f"feature of {modality}")
     axis.set_ylabel(f"{modality}, mean\n[deviations of all trials]")
     axis.grid(alpha=0.25)
-    _legend(axis, len(classes))
-    return png_of(figure, DPI)
-
-
-def _legend(axis: Axes, count: int) -> None:
-    if count <= NAMED:
+    if len(classes) <= NAMED:
         axis.legend(fontsize=8, ncols=max(1, math.ceil(count / 12)), loc="center left", bbox_to_anchor=(1.01, 0.5))
+    return png_of(figure, DPI)
 
 
 # Natural groupings (Thesis fig. 2.9, 2.10) ---------------------------------------------------------------------------

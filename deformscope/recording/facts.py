@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 from deformscope.errors import InputError
+from deformscope.file_io import utf8_path
 from deformscope.recording.rrd_file import has_footer
-from deformscope.recording.utf8_path import utf8_path
 
 TIMEOUT_S = 600.0
 MEMORY, BEGIN_BYTES = Path("/dev/shm"), 32 << 20

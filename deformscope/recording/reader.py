@@ -15,13 +15,12 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from deformscope.arrays import ImageArray
 from deformscope.errors import InputError
-from deformscope.file_io import nearest_file
+from deformscope.file_io import nearest_file, utf8_path
 from deformscope.frames import ColorFrame, DepthFrame, HealthReport, InputFile, SessionNote
 from deformscope.images import decode_image
 from deformscope.recording.item_rows import portions, read_rows
 from deformscope.recording.ledger import Discard, check_recording, discards_of, inherited, ledger_path
 from deformscope.recording.losses import losses_of
-from deformscope.recording.utf8_path import utf8_path
 from deformscope.rows import FORMAT
 
 if TYPE_CHECKING:

@@ -21,10 +21,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from deformscope.errors import printable
+from deformscope.file_io import utf8_path
 from deformscope.recording import lateness
 from deformscope.recording.lateness import OTHER_DISK, DiskForecast, RecordingError, check_room, writes_are_held_up
 from deformscope.recording.ledger import LedgerWriter, ledger_path
-from deformscope.recording.utf8_path import utf8_path
 
 if TYPE_CHECKING:
     import rerun as rr

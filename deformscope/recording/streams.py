@@ -32,7 +32,7 @@ from deformscope.rows import ENTITIES, FRAMES, IMAGES, OF_DEVICES, SERIES, SHAPE
 from deformscope.stages.fit.estimate import Estimate
 from deformscope.stages.fit.particle_frame import ParticleFrame
 from deformscope.stages.map.exploration import MapEstimate
-from deformscope.stages.map.force_pose import ForcePose
+from deformscope.stages.map.perception import ForcePose
 from deformscope.stages.materials.axis_estimate import AxisEstimate
 from deformscope.stages.materials.field_estimate import FieldEstimate
 from deformscope.stages.materials.recovery import RecoveryEstimate

@@ -20,8 +20,8 @@ from typing import Any, Literal
 from deformscope.errors import InputError
 from deformscope.file_io import SAMPLE_SCHEME, nearest, resolve, sample_names
 from deformscope.rig import sections
-from deformscope.rig.calibrated import CalibratedSection
 from deformscope.rig.driver_table import DRIVERS, Driver
+from deformscope.rig.sections import CalibratedSection
 from deformscope_drivers.device import Device
 from deformscope_drivers.errors import DeviceError
 

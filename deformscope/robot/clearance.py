@@ -9,8 +9,8 @@ from itertools import combinations
 
 import numpy as np
 
+from deformscope.robot.description import LINK_RADIUS_M
 from deformscope.robot.placement import Placement
-from deformscope.robot.shape import LINK_RADIUS_M
 from deformscope_drivers.arm.kinematics import FloatArray
 
 ArmBox = tuple[tuple[float, float, float], tuple[float, float, float]]

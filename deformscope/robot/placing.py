@@ -13,18 +13,17 @@ from functools import cached_property
 import numpy as np
 
 from deformscope.arrays import FloatArray
-from deformscope.capsule import Capsule, moved, outside_m
-from deformscope.rig.calibrated import CalibrationAge
 from deformscope.rig.rig_file import Tool, Workspace
-from deformscope.rig.sections import SqueezeSection
+from deformscope.rig.sections import CalibrationAge, SqueezeSection
 from deformscope.robot.checks import Check
 from deformscope.robot.clearance import ArmClearance
+from deformscope.robot.description import link_capsules
 from deformscope.robot.placement import WAY_M, Placement, best_joints, lead, towards
 from deformscope.robot.robot import Robot
-from deformscope.robot.shape import link_capsules
 from deformscope.robot.squeeze_plan import PALM_M, GripShape, RandomGrasp, hand_capsules
 from deformscope.robot.supervisor import Limits
 from deformscope.robot.travel import NotThere, in_box, move_joints, move_to
+from deformscope.solid import Capsule, moved, outside_m
 from deformscope_drivers.arm.kinematics import Chain, pose_error, transform
 from deformscope_drivers.sdh.kinematics import fingertips
 

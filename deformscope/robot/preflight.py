@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from deformscope.rig.calibrated import CalibrationAge
+from deformscope.rig.sections import CalibrationAge
 from deformscope.robot.checks import Check, Preflight
-from deformscope.robot.description import AS_CAPSULES, RobotDescription
+from deformscope.robot.description import AS_CAPSULES, LINK_RADIUS_M, RobotDescription
 from deformscope.robot.force_alone import ForceAlone
 from deformscope.robot.placement import TURNED_RAD, best_joints, follow, towards
 from deformscope.robot.readings import ArmSample, ForceSample, RobotObservation
 from deformscope.robot.robot import ForceSensor, Robot
-from deformscope.robot.shape import LINK_RADIUS_M
 from deformscope.robot.touch import TouchPlan
 from deformscope_drivers.arm.device import CALL_MS
 from deformscope_drivers.arm.kinematics import FloatArray, pose_error

@@ -430,12 +430,13 @@ class Robot:
         samples = tuple(ForceSample.of(reading, self.tare_n) for reading in forces)
         if samples:
             self._force = samples[-1]
+        health = self.force.health()
         return RobotObservation(
             self._clock(),
             samples,
             arms,
             tuple(CameraSample(picture.stamp.host_ns, fingerprint(picture.depth)) for picture in pictures),
-            damaged_frames(self.force),
+            max(health.resyncs, sum(health.refused.values())),  # damaged frames since it was opened
             tuple(
                 (name, device.health().reason or str(device.link))
                 for name, device in (("arm", self.arm), ("force sensor", self.force), ("camera", self.camera))
@@ -465,9 +466,3 @@ def taken(queue: Any) -> list[Any]:
 def _share(vector: FloatArray, most: float) -> float:
     """The factor that brings a vector (3,) to a length; above 1 where it is shorter."""
     return most / max(float(np.linalg.norm(vector)), 1e-12)
-
-
-def damaged_frames(force: ForceSensor) -> int:
-    """Damaged frames since the force sensor was opened: the larger of unfit stretches and refused frames."""
-    health = force.health()
-    return max(health.resyncs, sum(health.refused.values()))

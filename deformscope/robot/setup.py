@@ -15,10 +15,9 @@ import numpy.typing as npt
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.rig.calibrated import CalibrationAge
 from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.rig_file import Rig, RigDevice, Workspace
-from deformscope.rig.sections import ShapeSection
+from deformscope.rig.sections import CalibrationAge, ShapeSection
 from deformscope.rig.source import RigMember, RigSource
 from deformscope.robot.advice import advice
 from deformscope.robot.by_hand import Person

@@ -10,9 +10,9 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from deformscope.arrays import FloatArray
-from deformscope.capsule import Capsule
 from deformscope.errors import InputError
 from deformscope.rig.sections import ContainerSection, SqueezeSection
+from deformscope.solid import Capsule
 from deformscope_drivers.arm.kinematics import transform
 from deformscope_drivers.sdh import kinematics
 

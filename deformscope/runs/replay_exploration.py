@@ -40,9 +40,8 @@ def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer
     from deformscope.recording.items import read_results, read_series
     from deformscope.session import run
     from deformscope.stages.map import exploration
-    from deformscope.stages.map.force_pose import ForcePose
     from deformscope.stages.map.measured import SurfaceMeasurement
-    from deformscope.stages.map.perception import LookPerception, TouchPerception
+    from deformscope.stages.map.perception import ForcePose, LookPerception, TouchPerception
 
     settings, path = recording.settings, config.recording
     changes = _changes(config.set, get_type_hints(ExploreOptions) | get_type_hints(ThesisFlags))

@@ -40,7 +40,7 @@ from deformscope_drivers.health import Health
 
 if TYPE_CHECKING:
     from deformscope.experiments.live.device_stages import LiveOptions, Stage, StageName
-    from deformscope.experiments.live.stage_processes import StageProcesses
+    from deformscope.experiments.live.live_stages import StageProcesses
 
 REPORT_EVERY_S = 10.0
 PAGE_HOLDS_S = 30.0
@@ -166,7 +166,7 @@ def live_options(flags: StageOptions, rig: Rig, streams: Sequence[Stream] = ()) 
 
 
 def _processes(names: Sequence[StageName]) -> StageProcesses:
-    from deformscope.experiments.live.stage_processes import StageProcesses
+    from deformscope.experiments.live.live_stages import StageProcesses
 
     return StageProcesses(names, quiet_warp)
 

@@ -1,9 +1,9 @@
 """Experiment 3.B: beta of five foams from images of a push, with their true motion and their force.
 
-A flat clamp pushes five virtual foams (`deformscope.lab.foam`) by the same distance. A camera sees speckles move; dense
-flow carries 7 x 15 particles; the last pose is fitted at cluster sizes 2, 4 and 5. Each fit is made four times: from
-the flow and from the true positions, which shows the flow's error. Held particles are either the one below the clamp's
-middle, as in the thesis, or all below the clamp. The force of the push gives the model's k."""
+A flat clamp pushes five virtual foams (`studies.reproduce.virtual_foams`) by the same distance. A camera sees speckles
+move; dense flow carries 7 x 15 particles; the last pose is fitted at cluster sizes 2, 4 and 5. Each fit is made four
+times: from the flow and from the true positions, which shows the flow's error. Held particles are either the one below
+the clamp's middle, as in the thesis, or all below the clamp. The force of the push gives the model's k."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from deformscope.arrays import FloatArray
 from deformscope.experiments.fit.foam_video import ParticleOptions, hold_what_is_seen, observe, track
 from deformscope.frames import ColorFrame
 from deformscope.images import encode_png
-from deformscope.lab.finite_strain import Block, PressedBlock, press
-from deformscope.lab.foam import FOAMS, Foam
 from deformscope.recording.recorder import Recorder
 from deformscope.session import run
 from deformscope.stages.fit.calibrate import Calibration, FitOptions, Model, Observation, calibrate
 from deformscope.stages.see.particles import ParticleGrid, Tracked, seed_grid, select_held
 from deformscope_drivers.clock import Stamp
+from studies.reproduce.pressed_block import Block, PressedBlock, press
 from studies.reproduce.speckle import SpeckleMotion, View, film
+from studies.reproduce.virtual_foams import FOAMS, Foam
 
 Source = Literal["flow", "true"]
 Held = Literal["one", "clamp"]

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from deformscope.config import flags
-from deformscope.lab.foam import Foam
 from deformscope.pictures.report import Table
 from studies.output import pictures_of, write_rows
 from studies.reproduce import foams_figures as figures
@@ -34,6 +33,7 @@ from studies.reproduce.foam_fits import (
     measure_control,
     trend,
 )
+from studies.reproduce.virtual_foams import Foam
 from studies.runner import Study, StudyOptions, StudyReport, Trials
 
 HELD_WORDS = {"one": "one particle held", "clamp": "clamp held"}

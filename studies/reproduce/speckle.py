@@ -21,7 +21,7 @@ from scipy import ndimage
 from scipy.interpolate import RectBivariateSpline
 
 from deformscope.arrays import BoolArray, FloatArray
-from deformscope.lab.finite_strain import Block, PressedBlock
+from studies.reproduce.pressed_block import Block, PressedBlock
 
 SPECKLE_PX = 1.5
 """Standard deviation of the blur that makes white noise speckles: they are about 5 px across."""

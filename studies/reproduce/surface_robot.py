@@ -9,7 +9,6 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from deformscope.arrays import BoolArray, FloatArray
-from deformscope.capsule import Capsule
 from deformscope.errors import InputError
 from deformscope.experiments.explore.explore import (
     AtOnce,
@@ -33,6 +32,7 @@ from deformscope.lab.slab_world import SlabWorld
 from deformscope.rig.rig_file import Tool
 from deformscope.robot.setup import Truth
 from deformscope.session import SessionRecorder, run
+from deformscope.solid import Capsule
 from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
 from deformscope.stages.poke.contact import ArmCompliance
 from deformscope.stages.regions.touches import MapGrid
@@ -192,7 +192,7 @@ class LabRobot:
         box = sample_box(self.size_m, self._options.thickness_m)
         cell = None if robot else VIEW_CELL_M
         found = perceive(
-            depth_m, camera, self._view.surface_from_camera, box, robot=PosedRobot(robot, margin_m=0.01), cell_m=cell
+            depth_m, camera, self._view.T_world_camera, box, robot=PosedRobot(robot, margin_m=0.01), cell_m=cell
         )
         return SurfaceMeasurement(found.points_m, found.noise_m)
 

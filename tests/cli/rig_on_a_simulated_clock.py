@@ -20,10 +20,9 @@ from deformscope.lab.scenes import Scene
 from deformscope.lab.touch_lab import TouchLab
 from deformscope.rig.rig_file import RigDevice
 from deformscope.robot.by_hand import Person
-from deformscope.robot.description import AS_CAPSULES, RobotDescription
+from deformscope.robot.description import AS_CAPSULES, RobotDescription, arm_shape
 from deformscope.robot.placement import Placement
 from deformscope.robot.setup import Setup, Truth, rig_setup
-from deformscope.robot.shape import arm_shape
 from deformscope_drivers.depth_camera import View
 from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig
 from deformscope_drivers.device import Device
@@ -99,7 +98,7 @@ class SimulatedTable:
 
     @property
     def T_surface_camera(self) -> npt.NDArray[np.float64]:
-        return np.asarray(self.view.surface_from_camera, np.float64)
+        return np.asarray(self.view.T_world_camera, np.float64)
 
     def wait_until(self, until_ns: int) -> None:
         self.lab.wait_until(until_ns)
@@ -117,7 +116,7 @@ class SimulatedTable:
         exact = self.view.render(moved, capsules, self._described.solids(self._placement, links))
         if self._board and self._randomized is not None:
             T_surface_board = self._placement.T_surface_base @ links[-1] @ self._randomized.T_ee_board
-            T_camera_board = np.linalg.inv(self.view.surface_from_camera) @ T_surface_board
+            T_camera_board = np.linalg.inv(self.view.T_world_camera) @ T_surface_board
             self._picture.put_into(exact.color, self.view.intrinsics, T_camera_board)
         return View(exact.depth_m, exact.color)
 

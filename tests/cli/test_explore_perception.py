@@ -13,9 +13,8 @@ from deformscope.frames import ArmFrame, DepthFrame
 from deformscope.recording.items import read_items, read_results, read_series
 from deformscope.recording.reader import Replay
 from deformscope.stages.map.exploration import SurfaceEstimate, TouchEstimate
-from deformscope.stages.map.force_pose import ForcePose
 from deformscope.stages.map.measured import TouchFrames
-from deformscope.stages.map.perception import LookPerception, TouchPerception
+from deformscope.stages.map.perception import ForcePose, LookPerception, TouchPerception
 from deformscope.stages.see.pixel_labels import PixelLabel
 from deformscope_drivers.arm.kinematics import rotation_from_euler_xyz, transform
 from tests.cli.recorded import Explore

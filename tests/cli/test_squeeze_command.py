@@ -119,7 +119,7 @@ def test_a_recorded_squeeze_replays_to_the_last_bit(
     assert "identical to the recorded numbers" in " ".join(capsys.readouterr().err.split())
     assert main(["report", str(file), "--out", str(tmp_path / "r.html")]) == 0  # of a squeeze that no model named
     from deformscope.experiments.squeeze import features as squeeze_features
-    from deformscope.stages.squeeze.tactile import tactile_feature
+    from deformscope.stages.squeeze.physical import tactile_feature
 
     monkeypatch.setattr(squeeze_features, "tactile_feature", lambda pads, end: tactile_feature(pads, end) + 1.0)
     assert main(["replay", str(file)]) == 2

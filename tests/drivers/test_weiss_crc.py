@@ -2,7 +2,7 @@
 
 import pytest
 
-from deformscope_drivers.weiss_crc import crc16
+from deformscope_drivers.framing import crc16
 
 # Checksummed bytes and the two bytes that follow them on the wire, from the protocol reference's worked packets.
 WORKED = [

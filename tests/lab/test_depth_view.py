@@ -7,14 +7,13 @@ import open3d as o3d
 import pytest
 
 from deformscope.arrays import BoolArray, FloatArray
-from deformscope.capsule import Capsule
 from deformscope.errors import InputError
 from deformscope.lab.depth_view import DepthView
 from deformscope.lab.ray_camera import FOAM, NOTHING, ROBOT, TABLE, DepthViewConfig
 from deformscope.lab.scenes import built_in
 from deformscope.lab.slab import RigidTip
 from deformscope.lab.slab_world import SlabWorld
-from deformscope.solid import PosedSolid, Solid
+from deformscope.solid import Capsule, PosedSolid, Solid
 
 SMALL = DepthViewConfig(width=320, height=240)
 FLAT = built_in("two-60-150", 1)
@@ -50,12 +49,12 @@ def test_planes_are_where_they_are(view: DepthView) -> None:
 
 def test_it_looks_at_the_middle_from_80_cm_at_45_degrees(view: DepthView) -> None:
     middle = np.array([0.3, 0.2, 0.05])
-    eye = view.surface_from_camera[:3, 3]
+    eye = view.T_world_camera[:3, 3]
     assert np.linalg.norm(eye - middle) == pytest.approx(0.8)
     assert eye[2] - 0.05 == pytest.approx(0.8 * np.sin(np.pi / 4))
     np.testing.assert_allclose(view.pixels(middle[None]), [[159.5, 119.5]])
     assert view.intrinsics.fx_px == 285.0
-    turn = view.surface_from_camera[:3, :3]
+    turn = view.T_world_camera[:3, :3]
     np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(turn) == pytest.approx(1.0)
     assert turn[2, 1] < 0.0, "y is down in the image"
@@ -132,7 +131,7 @@ CAPSULES = [
 @pytest.mark.parametrize("capsule", CAPSULES, ids=["stick", "link", "ball", "past the picture's edge"])
 def test_a_capsule_hides_exactly_what_is_behind_it(view: DepthView, capsule: Capsule) -> None:
     still, hidden = view.render(), view.render(None, [capsule])
-    eye = view.surface_from_camera[:3, 3]
+    eye = view.T_world_camera[:3, 3]
     rays = view.points_m(np.ones((240, 320))) - eye
     expected = meets(capsule, eye, rays)
     assert 20 < expected.sum() < 40_000

@@ -13,7 +13,7 @@ from rerun.chunk import RrdReader
 from deformscope.frames import Pad, StageResult, Stream, UsedFrames
 from deformscope.log.rig.tactile import Hand
 from deformscope.log.stages import log_stage_streams, prepare_stage_results, summary
-from deformscope.log.stages.views import stage_blueprint
+from deformscope.log.stages.over_image import stage_blueprint
 from deformscope.recording.items import read_stage_results
 from deformscope.rows import FORMAT
 from deformscope.stages.fit.moment import FieldMoment, MomentFit, ParticleMoment

@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deformscope.errors import InputError
-from deformscope.rig.calibrated import CalibratedSection, CalibrationEntry
 from deformscope.rig.rig_edit import edited, lines_of
 from deformscope.rig.rig_file import parse_rig
+from deformscope.rig.sections import CalibratedSection, CalibrationEntry
 
 RIG = """# my rig
 [devices.tip]   # the stick's sensor

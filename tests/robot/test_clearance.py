@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from deformscope.robot.clearance import ArmBox, ArmClearance, segment_distance
+from deformscope.robot.description import LINK_RADIUS_M
 from deformscope.robot.latch import Action
 from deformscope.robot.placement import Placement
 from deformscope.robot.readings import ArmSample, ForceSample, RobotObservation
 from deformscope.robot.setup import T_BASE_SURFACE
-from deformscope.robot.shape import LINK_RADIUS_M
 from deformscope.robot.supervisor import Fault, Limits, Supervisor
 from deformscope_drivers.arm.kinematics import Chain, FloatArray
 from deformscope_drivers.arms import CHAINS

@@ -13,11 +13,10 @@ from deformscope.errors import InputError
 from deformscope.lab.robot_body import FOLDER, described_robot
 from deformscope.rig.rig_file import Tool, load_rig
 from deformscope.rig.sections import CableSection, ShapeSection
-from deformscope.robot.description import AS_CAPSULES, DescribedCable, RobotDescription, describe
+from deformscope.robot.description import AS_CAPSULES, DescribedCable, RobotDescription, arm_shape, describe
 from deformscope.robot.placement import Placement
 from deformscope.robot.preflight import _hand
 from deformscope.robot.setup import RigParts
-from deformscope.robot.shape import arm_shape
 from deformscope.robot.touch import TouchPlan
 from deformscope.robot.urdf_shapes import read_urdf
 from deformscope_drivers.arm.kinematics import rotation_from_rpy, transform

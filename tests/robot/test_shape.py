@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from deformscope.rig.rig_file import Tool
+from deformscope.robot.description import LINK_RADIUS_M, arm_shape
 from deformscope.robot.placement import Placement
-from deformscope.robot.shape import LINK_RADIUS_M, arm_shape
 from deformscope_drivers.arm.kinematics import rotation_from_rpy, transform
 from deformscope_drivers.jaco.chains import J2N6S300
 

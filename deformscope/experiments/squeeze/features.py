@@ -25,8 +25,7 @@ from deformscope.robot.squeeze_supervisor import gap_m
 from deformscope.stages.see.cloud import Intrinsics
 from deformscope.stages.squeeze.events import SqueezeEvents
 from deformscope.stages.squeeze.patch import filled
-from deformscope.stages.squeeze.physical import physical_features
-from deformscope.stages.squeeze.tactile import series_of, tactile_feature
+from deformscope.stages.squeeze.physical import physical_features, series_of, tactile_feature
 from deformscope.stages.squeeze.trial import SqueezeFeatures
 from deformscope_drivers.arm.kinematics import rotation_from_euler_xyz, transform
 

@@ -18,7 +18,7 @@ from deformscope.session import Moment, SessionRecorder, Step, measuring, with_c
 from deformscope.stages.see.tactile import tactile_contact
 from deformscope.stages.squeeze.events import EventRule, OnsetDetector, SqueezeEvents, squeeze_events
 from deformscope.stages.squeeze.patch import filled
-from deformscope.stages.squeeze.tactile import End, tactile_feature
+from deformscope.stages.squeeze.physical import End, tactile_feature
 from deformscope.stages.squeeze.trial import ContainerChange, ContentPosterior, FingertipPressure
 
 BEFORE_S = 1.0

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from deformscope.arrays import FloatArray
-from deformscope.capsule import moved
 from deformscope.errors import InputError
 from deformscope.experiments.squeeze.features import SqueezeGeometry
 from deformscope.experiments.squeeze.frames import SqueezeFrames, frame_ns
@@ -24,16 +23,17 @@ from deformscope.rig.source import RigSource
 from deformscope.robot import placing as arm_placing
 from deformscope.robot.advice import advice, where_it_stands
 from deformscope.robot.checks import Check, Preflight
+from deformscope.robot.description import link_capsules
 from deformscope.robot.fingertip_force import FingertipForce
 from deformscope.robot.latch import Action
 from deformscope.robot.preflight import check
 from deformscope.robot.robot import Robot, RobotStopped, TipVelocity
-from deformscope.robot.shape import link_capsules
 from deformscope.robot.squeeze_plan import GripShape, RandomGrasp, draw_grasps, hand_capsules
 from deformscope.robot.squeeze_setup import SqueezeSetup
 from deformscope.robot.supervisor import Fault, SafetyDecision
 from deformscope.robot.travel import NotThere
 from deformscope.session import Compute, Moment, RigExperiment, Step, ask
+from deformscope.solid import moved
 from deformscope.stages.see.cloud import Intrinsics, back_project
 from deformscope.stages.squeeze.container import outline_px
 from deformscope.stages.squeeze.find import MOVED_SD, compare, find_container, matches

@@ -13,13 +13,13 @@ import numpy as np
 import numpy.typing as npt
 
 from deformscope.arrays import FloatArray
-from deformscope.capsule import moved
 from deformscope.errors import InputError
 from deformscope.frames import DepthFrame, StageCost
 from deformscope.rig.sections import ContainerSection
 from deformscope.robot.mesh_files import read_meshes
 from deformscope.robot.squeeze_plan import PAD_ALONG_M, hand_capsules
 from deformscope.session import measuring
+from deformscope.solid import moved
 from deformscope.stages.see.cloud import Intrinsics
 from deformscope.stages.squeeze.container import ContainerModel, ModelRenderer, outline_px
 from deformscope.stages.squeeze.patch import DepthChange, around, depth_change, hand_pixels, median_of

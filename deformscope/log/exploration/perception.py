@@ -22,8 +22,7 @@ from deformscope.pictures import exploration as pictures
 from deformscope.pictures.palette import AXES, BAD, HELD, IDLE, JOINTS, OBSERVED, Rgb, colors, round_up
 from deformscope.rows import SERIES
 from deformscope.stages.map.exploration import SurfaceEstimate
-from deformscope.stages.map.force_pose import NAMES, ForcePose
-from deformscope.stages.map.perception import LookPerception, TouchPerception
+from deformscope.stages.map.perception import NAMES, ForcePose, LookPerception, TouchPerception
 from deformscope.stages.see.pixel_labels import PixelLabel
 
 FRAMES, PIXELS, UNDER, ERROR, MAPS = (
@@ -101,9 +100,9 @@ def log_tool(now: ResultBatch, poses: ForcePose) -> None:
         parent_frame=["surface"] * len(some),
         child_frame=["tool"] * len(some),
     )
-    now.show_series(f"{FRAMES}/tool", poses.host_ns[some], columns)
+    now.batch.send_series(f"{FRAMES}/tool", poses.host_ns[some], columns)
     for axes in (rr.CoordinateFrame.columns(frame=["tool"]), rr.TransformAxes3D.columns(axis_length=[AXIS_M])):
-        now.show_series(f"{SCENE}/frames/tool", poses.host_ns[:1], axes)
+        now.batch.send_series(f"{SCENE}/frames/tool", poses.host_ns[:1], axes)
 
 
 def log_ground(now: ResultBatch, surface: SurfaceEstimate) -> None:

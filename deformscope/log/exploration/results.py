@@ -62,9 +62,8 @@ from deformscope.stages.map.exploration import (
     TouchEstimate,
     TouchForecast,
 )
-from deformscope.stages.map.force_pose import ForcePose
 from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement
-from deformscope.stages.map.perception import LookPerception, TouchPerception
+from deformscope.stages.map.perception import ForcePose, LookPerception, TouchPerception
 
 SURFACE = ShownStage("surface", 4, "its height and deviation (eq. 4.3, 4.4)", costs=("look",))
 PLAN = ShownStage("plan", 4, "where to touch next, and the gain of each place", costs=("veto",))

@@ -90,7 +90,8 @@ def log_content(now: ResultBatch, posterior: trial.ContentPosterior) -> None:
     """Log a line for each content during the squeeze; the final posterior of all features is only text."""
     if posterior.index >= 0:
         tints = tints_of(len(posterior.labels))
-        now.log_static(CONTENT, rr.SeriesLines(names=list(posterior.labels), colors=tints, widths=[2.0] * len(tints)))
+        lines = rr.SeriesLines(names=list(posterior.labels), colors=tints, widths=[2.0] * len(tints))
+        now.batch.log(CONTENT, lines, static=True)
         now.show(CONTENT, rr.Scalars(posterior.probability))
     order = np.argsort(posterior.probability)[::-1]
     rows = [f"| {posterior.labels[at]} | {100 * posterior.probability[at]:.0f} % |" for at in order]

@@ -18,6 +18,8 @@ import rerun as rr
 from deformscope.frames import StageResult, Stream
 from deformscope.log.rig.columns import Batch, log_series, moments, recorded, root, scalars
 from deformscope.log.stages.over_image import (
+    PLOTS,
+    WORDS,
     StageGroup,
     log_fields,
     log_flow_arrows,
@@ -25,7 +27,6 @@ from deformscope.log.stages.over_image import (
     log_pads,
     log_particle_moments,
 )
-from deformscope.log.stages.views import PLOTS, WORDS
 from deformscope.log.views import SOMETIMES, ShownStage, Views, views_of
 from deformscope.pictures.exploration import force_png, height_png
 from deformscope.pictures.palette import JOINTS, tints_of

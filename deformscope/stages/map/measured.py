@@ -8,7 +8,7 @@ import dataclasses
 from dataclasses import dataclass
 
 from deformscope.arrays import FloatArray, IntArray
-from deformscope.stages.map.force_pose import ForcePose
+from deformscope.stages.map.perception import ForcePose
 from deformscope.stages.poke.layer_seen import TableSeen
 from deformscope.stages.see.pixel_labels import SeenPixels
 

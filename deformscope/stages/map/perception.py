@@ -7,10 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from deformscope.arrays import FloatArray
+from deformscope.arrays import FloatArray, IntArray
 from deformscope.stages.fit.estimate import Curve
 from deformscope.stages.gaussian_process import Kernel
-from deformscope.stages.map.force_pose import ForcePose
 from deformscope.stages.regions.touches import StiffnessSample
 from deformscope.stages.see.pixel_labels import PixelMasks
 
@@ -119,6 +118,44 @@ class TouchPerception:
         assert self.error is not None
         assert self.estimate is not None
         return float(self.error.aee[np.argmin(np.abs(self.error.parameter - self.estimate))])
+
+
+# Force and pose of the tip as one vector of nine numbers, at the force sensor's rate (Thesis 4.4)
+
+NAMES = (*(f"F{axis} [N]" for axis in "xyz"), *(f"{axis} [m]" for axis in "xyz"), *(f"r{axis} [rad]" for axis in "xyz"))
+
+
+@dataclass(frozen=True, slots=True)
+class ForcePose:
+    """Readings of force sensor and arm of a touch.
+
+    host_ns: (n,) when each force arrived, on the host's clock; values: (n, 9) force on the tip [N], position of its
+    middle [m], rotation vector of its frame [rad], all in the surface frame. Position and rotation are interpolated
+    between the arm's states before and after: the force comes more often. Before the first state and after the last one
+    they are those of that state."""
+
+    host_ns: IntArray
+    values: FloatArray
+
+
+def force_pose(host_ns: IntArray, force_n: FloatArray, state_ns: IntArray, T_surface_tip: FloatArray) -> ForcePose:
+    """Forces (n, 3) [N] with the pose at their times: positions linearly, rotations along the shortest turn (slerp).
+
+    state_ns: (m,) rising, of poses T_surface_tip (m, 4, 4). A rotation is given by several rotation vectors, which
+    differ by whole turns. The vector nearest to the first is returned, so that rows do not jump."""
+    from scipy.spatial.transform import Rotation, Slerp
+
+    turn = Rotation.from_matrix(T_surface_tip[:, :3, :3])
+    at = np.clip(host_ns, state_ns[0], state_ns[-1]) - state_ns[0]
+    if len(state_ns) > 1:
+        turn = Slerp(state_ns - state_ns[0], turn)(at)
+    position = np.column_stack([np.interp(at, state_ns - state_ns[0], T_surface_tip[:, axis, 3]) for axis in range(3)])
+    vector = np.broadcast_to(turn.as_rotvec(), (len(host_ns), 3))
+    angle = np.linalg.norm(vector, axis=1, keepdims=True)
+    other = vector * (1.0 - 2.0 * np.pi / np.maximum(angle, 1e-12))
+    nearer = np.linalg.norm(other - vector[:1], axis=1) < np.linalg.norm(vector - vector[:1], axis=1)
+    vector = np.where(nearer[:, None], other, vector)
+    return ForcePose(host_ns, np.column_stack([force_n, position, vector]))
 
 
 Perception = LookPerception | TouchPerception | ForcePose

@@ -246,15 +246,6 @@ def label_gain(hypotheses: RegionHypotheses, touches: RelatedTouches, cells_m: F
     return cast(FloatArray, np.maximum(after - best_now.mean(), 0.0))
 
 
-def level_information(
-    hypotheses: RegionHypotheses, touches: RelatedTouches, blur_m: float, known_sd: float
-) -> FloatArray:
-    """(p,) information of touches about the levels, if the map is known [nat]; more precision than `known_sd` adds
-    little."""
-    _, variance, _, weight = touches.expected(hypotheses, blur_m)
-    return cast(FloatArray, 0.5 * weight @ np.log1p(variance / known_sd**2))
-
-
 def _outcomes(
     hypotheses: RegionHypotheses, touches: RelatedTouches, blur_m: float, count: int
 ) -> tuple[FloatArray, FloatArray]:
@@ -340,7 +331,9 @@ def _region_gain(posterior: RegionPosterior, touches: RelatedTouches, cost: Floa
     """(p,) expected gain of a touch in labels, and in uncertain levels; the labels' part only at the places that
     are most informative of levels."""
     hypotheses, blur = posterior.hypotheses(), posterior.prior.blur_m
-    gain = LEVEL_WORTH * level_information(hypotheses, touches, blur, posterior.prior.rigid_sd)
+    # (p,) information of touches about the levels, if the map is known [nat]; beyond `rigid_sd` precision adds little
+    _, variance, _, weight = touches.expected(hypotheses, blur)
+    gain = LEVEL_WORTH * cast(FloatArray, 0.5 * weight @ np.log1p(variance / posterior.prior.rigid_sd**2))
     learned = LEVEL_WORTH * information(hypotheses, touches, blur)
     best = np.argsort(-(gain + learned) / cost, kind="stable")[:CONTENDERS]
     cells = MapGrid(posterior.grid.size_m, LABEL_CELL_M).centres_m

@@ -14,8 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from deformscope.arrays import FloatArray
-from deformscope.capsule import Capsule
-from deformscope.solid import PosedSolid, merged
+from deformscope.solid import Capsule, PosedSolid, merged
 from deformscope.stages.see.robot import PosedRobot
 
 LOOKED_AT, POINTS = 3000, 600

@@ -12,8 +12,7 @@ from functools import partial
 import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray
-from deformscope.capsule import Capsule
-from deformscope.solid import PosedSolid
+from deformscope.solid import Capsule, PosedSolid
 from deformscope.stages.see.pixel_labels import LabelArray, PixelLabel
 
 EDGE_PX = 3

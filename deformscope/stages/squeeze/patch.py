@@ -15,8 +15,8 @@ from scipy.sparse import csc_array, diags_array, kronsum
 from scipy.sparse.linalg import spsolve
 
 from deformscope.arrays import BoolArray, FloatArray
-from deformscope.capsule import Capsule
 from deformscope.errors import InputError
+from deformscope.solid import Capsule
 from deformscope.stages.see.cloud import Intrinsics, axial_noise_m
 from deformscope.stages.see.robot import outside_capsules
 from deformscope.stages.squeeze.container import BULGE_M, ModelRenderer, ModelView

@@ -50,7 +50,12 @@ class TriangulatingSensor:
             noise = noise.repeat(self.noise_width, axis)
         noise = noise[: exact.shape[0], : exact.shape[1]]
         measured = np.rint((measured + self.noise_px * noise) / self.step_px) * self.step_px
-        known = seen & (measured > 0.0) & ~self._shadowed(disparity, seen, lens_px) & ~self._grazed(exact, lens_px)
+        # (h, w) pixels that the projector, or the other imager, does not reach: it is to the right, and something
+        # nearer lies between. A pixel is lost where one to its right comes to lie at its place, or left of it, there.
+        column = np.arange(disparity.shape[1])
+        there = np.where(seen, column - disparity * (lens_px / self.focal_px), np.inf)
+        nearest = np.minimum.accumulate(there[:, ::-1], axis=1)[:, ::-1]
+        known = seen & (measured > 0.0) & (there <= nearest + 1e-9) & ~self._grazed(exact, lens_px)
         return np.divide(strength, measured, out=np.zeros_like(exact), where=known)
 
     def _bled(
@@ -70,14 +75,6 @@ class TriangulatingSensor:
         taken = np.take_along_axis(np.stack(neighbours), chosen, axis=0)[0]
         share = random.random(seen.shape) if self.flying else 1.0
         return np.where(edge, disparity + share * (taken - disparity), disparity)
-
-    def _shadowed(self, disparity: NDArray[np.float64], seen: NDArray[np.bool_], lens_px: float) -> NDArray[np.bool_]:
-        """(h, w) pixels that the projector, or the other imager, does not reach: it is to the right, and something
-        nearer lies between. A pixel is lost where one to its right comes to lie at its place, or left of it, there."""
-        column = np.arange(disparity.shape[1])
-        there = np.where(seen, column - disparity * (lens_px / self.focal_px), np.inf)
-        nearest = np.minimum.accumulate(there[:, ::-1], axis=1)[:, ::-1]
-        return np.asarray(there > nearest + 1e-9)
 
     def _grazed(self, exact: NDArray[np.float64], lens_px: float) -> NDArray[np.bool_]:
         """(rows, columns) where the surface is seen flatter than `grazing_deg`; jumps of depth do not count as such."""

@@ -4,7 +4,7 @@ This module uses no port, clock or thread. A packet is, in both directions,
 
     AA AA AA | id | payload length, 2 bytes | payload | CRC, 2 bytes
 
-without CRC where the payload is empty. The CRC covers all from id to payload (`deformscope_drivers.weiss_crc`); it
+without CRC where the payload is empty. The CRC covers all from id to payload (`deformscope_drivers.framing`); it
 misses some pairs of flipped bits (counted in `tests/drivers/dsa/flips.py`). Therefore a packet must also have a known
 id, the length of that id, and texels of 12 bits, one for each cell of the sensor.
 Source: SDHLibrary-CPP, sdh/dsa.h and dsa.cpp (protocols.md 1a)."""
@@ -17,9 +17,8 @@ from dataclasses import dataclass
 
 from deformscope_drivers.dsa import messages
 from deformscope_drivers.dsa.messages import decode_raw, decode_rle, encode_raw, encode_rle
-from deformscope_drivers.framing import EventT, FrameDecoder, GoodFrame, Refused, find_start
+from deformscope_drivers.framing import EventT, FrameDecoder, GoodFrame, Refused, crc16, find_start
 from deformscope_drivers.framing import Skipped as Skipped
-from deformscope_drivers.weiss_crc import crc16
 
 PREAMBLE = b"\xaa\xaa\xaa"
 SDH_CELLS = 3 * (6 * 14 + 6 * 13)

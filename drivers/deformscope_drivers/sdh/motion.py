@@ -54,11 +54,6 @@ def grasp_angles_deg(grasp: codes.Grasp, close: float) -> tuple[float, ...]:
     return (base, *(proximal, distal) * 3)
 
 
-def sin_square_duration_s(distance_deg: float, velocity_deg_s: float) -> float:
-    """Duration of a move whose speed is velocity * sin²(pi t / T)."""
-    return 2 * abs(distance_deg) / velocity_deg_s
-
-
 def ramp_duration_s(distance_deg: float, velocity_deg_s: float, acceleration_deg_s2: float) -> float:
     """Duration of a move that speeds up, continues at the velocity if it reaches it, and slows down."""
     distance = abs(distance_deg)
@@ -194,7 +189,8 @@ class Motion:
             if not distance or not velocity:
                 continue
             if self.profile is codes.VelocityProfile.SIN_SQUARE:
-                duration_s = sin_square_duration_s(distance, velocity)
+                # Duration of a move whose speed is velocity * sin²(pi t / T)
+                duration_s = 2 * abs(distance) / velocity
             else:
                 duration_s = ramp_duration_s(distance, velocity, axis.target_acceleration_deg_s2)
             longest = max(longest, duration_s)

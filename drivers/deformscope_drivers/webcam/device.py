@@ -143,8 +143,10 @@ def apply(config: WebcamConfig, capture: Capture, where: str) -> None:
     """Set a camera as configured and read every setting back. Raises SettingsRefused.
 
     The order matters: the format bounds the sizes that there are, and the size bounds the rates."""
+    if len(config.fourcc) != 4 or not config.fourcc.isascii():
+        raise SettingsRefused("a format of four letters, such as MJPG or YUYV", repr(config.fourcc))
     asked: list[tuple[Setting, float]] = [
-        (Setting.FOURCC, float(to_fourcc(config.fourcc))),
+        (Setting.FOURCC, float(int.from_bytes(config.fourcc.encode("ascii"), "little"))),  # as V4L2 numbers it
         (Setting.WIDTH, float(config.width)),
         (Setting.HEIGHT, float(config.height)),
         (Setting.FPS, config.fps),
@@ -174,13 +176,6 @@ def apply(config: WebcamConfig, capture: Capture, where: str) -> None:
         expected = ", ".join(_to_text(setting, value) for setting, value, _ in wrong)
         seen = ", ".join(_to_text(setting, came) for setting, _, came in wrong)
         raise SettingsRefused(expected, seen, f"v4l2-ctl -d {where} --list-formats-ext --list-ctrls", where)
-
-
-def to_fourcc(text: str) -> int:
-    """A format's four letters as V4L2's number. Raises SettingsRefused for anything else."""
-    if len(text) != 4 or not text.isascii():
-        raise SettingsRefused("a format of four letters, such as MJPG or YUYV", repr(text))
-    return int.from_bytes(text.encode("ascii"), "little")
 
 
 def _to_text(setting: Setting, value: float | None) -> str:

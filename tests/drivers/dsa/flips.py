@@ -20,8 +20,7 @@ from deformscope_drivers.dsa.double import DsaDouble
 from deformscope_drivers.dsa.measurer import TimestampGate, TimestampStatus
 from deformscope_drivers.dsa.messages import FRAME_RLE, Ack, Command, Id, Reading, Reply
 from deformscope_drivers.dsa.protocol import PREAMBLE, CommandDecoder, Decoder, Faulty, encode, stop
-from deformscope_drivers.framing import Skipped
-from deformscope_drivers.weiss_crc import crc16
+from deformscope_drivers.framing import Skipped, crc16
 
 FRAME_PERIOD_MS = 86
 """Between raw frames at 115 200 baud."""

@@ -7,8 +7,7 @@ import pytest
 
 from deformscope_drivers.dsa.messages import Reading
 from deformscope_drivers.dsa.protocol import Decoder, encode
-from deformscope_drivers.framing import Skipped
-from deformscope_drivers.weiss_crc import crc16
+from deformscope_drivers.framing import Skipped, crc16
 from tests.cases import slow_but
 from tests.drivers.dsa.flips import LEFT, Subject, count_pairs, flipped, passing_pairs, syndromes, typical
 from tests.drivers.dsa.packets import ACK, ANSWERS, FRAME, STOP

@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 
 from deformscope_drivers.dsa.messages import Ack
 from deformscope_drivers.dsa.protocol import SDH_CELLS, CommandDecoder, Decoder, Faulty, encode, single, stop, stream
-from deformscope_drivers.framing import Skipped
-from deformscope_drivers.weiss_crc import crc16
+from deformscope_drivers.framing import Skipped, crc16
 from tests.drivers.dsa.packets import ACK, ANSWERS, COMMANDS, FRAME, STOP, checked, checksum, hexed, reading
 
 BOTH_WAYS = [(CommandDecoder, COMMANDS), (Decoder, ANSWERS)]

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from deformscope_drivers.framing import crc16
 from deformscope_drivers.sdh.codes import CODES, ERRORS, error_name, release
 from deformscope_drivers.sdh.protocol import (
     Command,
@@ -25,7 +26,6 @@ from deformscope_drivers.sdh.protocol import (
     encode,
     encode_reply,
 )
-from deformscope_drivers.weiss_crc import crc16
 
 POSE = (0.0, -10.0, 20.0, -10.0, 20.0, -10.0, 20.0)
 POSE_F32 = "00000000 000020c1 0000a041 000020c1 0000a041 000020c1 0000a041"

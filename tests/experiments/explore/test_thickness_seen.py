@@ -36,7 +36,7 @@ def seen(scene: Scene, hidden: bool) -> SurfaceMeasurement:
         depth_m = depth_m * (exact.seen == FOAM)
     lens = view.intrinsics
     focal, center = (lens.fx_px, lens.fy_px), (lens.cx_px, lens.cy_px)
-    camera = CameraView(focal, center, T_surface_camera=view.surface_from_camera)
+    camera = CameraView(focal, center, T_surface_camera=view.T_world_camera)
     geometry = SetupGeometry(scene.size_m, Placement(np.eye(4), Tool()), Workspace(), camera, 0.0, 0.0)
     used = LookFrames("depth", np.array([1]), "arm", 1, "placed", focal, center)
     data = FrameData({1: depth_m.astype(np.float32)}, {1: ArmSample(1, AWAY, (), 0)}, {})

@@ -20,9 +20,9 @@ from deformscope.lab.ray_camera import FOAM
 from deformscope.lab.scene_lab import SceneLab
 from deformscope.lab.scenes import built_in
 from deformscope.rig.rig_file import Workspace
+from deformscope.robot.description import arm_shape
 from deformscope.robot.placement import Placement
 from deformscope.robot.setup import CameraView, Setup
-from deformscope.robot.shape import arm_shape
 from deformscope.robot.touch import STILL_S
 from deformscope.stages.regions.touch_error import GAIN_SD
 from deformscope_drivers.depth_camera.image import Intrinsics

@@ -27,9 +27,8 @@ from deformscope.experiments.live.device_stages import (
     for_rig,
     stages_of,
 )
-from deformscope.experiments.live.live_stages import StageCounts, live_stages, used_frames
+from deformscope.experiments.live.live_stages import StageCounts, StageProcesses, live_stages, used_frames
 from deformscope.experiments.live.replay_stages import replay_stages
-from deformscope.experiments.live.stage_processes import StageProcesses
 from deformscope.frames import (
     ArmFrame,
     ColorFrame,

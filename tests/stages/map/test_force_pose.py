@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from deformscope.arrays import FloatArray
-from deformscope.stages.map.force_pose import NAMES, force_pose
+from deformscope.stages.map.perception import NAMES, force_pose
 
 
 def between(one: FloatArray, other: FloatArray, share: float) -> FloatArray:

@@ -6,8 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from deformscope.arrays import FloatArray
-from deformscope.capsule import Capsule
-from deformscope.solid import PosedSolid, Solid
+from deformscope.solid import Capsule, PosedSolid, Solid
 from deformscope.stages.see.align import ALIGNED_M, Alignment, align, as_seen
 from deformscope.stages.see.robot import PosedRobot
 from deformscope_drivers.arm.kinematics import transform

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from deformscope.arrays import FloatArray
-from deformscope.capsule import Capsule
 from deformscope.errors import InputError
+from deformscope.solid import Capsule
 from deformscope.stages.see import cloud
 from deformscope.stages.see.pixel_labels import PixelLabel
 from deformscope.stages.see.robot import PosedRobot, outside_capsules

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from deformscope.capsule import Capsule
+from deformscope.solid import Capsule
 from deformscope.stages.see.cloud import Box, Intrinsics, back_project, not_alone, perceive, within
 from deformscope.stages.see.pixel_labels import PixelLabel, SeenPixels
 from deformscope.stages.see.robot import PosedRobot, measured, outside_capsules

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from deformscope.capsule import Capsule
 from deformscope.errors import InputError
+from deformscope.solid import Capsule
 from deformscope.stages.see.cloud import Intrinsics
 from deformscope.stages.see.robot import outside_capsules
 from deformscope.stages.squeeze.container import ContainerModel, ModelRenderer

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deformscope.errors import InputError
-from deformscope.stages.squeeze.tactile import series_of, tactile_feature
+from deformscope.stages.squeeze.physical import series_of, tactile_feature
 
 
 def test_the_first_36_cells_are_those_of_the_thesis_and_the_last_ones_can_be_chosen() -> None:

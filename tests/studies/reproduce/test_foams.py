@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
-from deformscope.lab.foam import FOAMS
 from studies.reproduce import foam_fits
 from studies.reproduce import foam_fits as foams
+from studies.reproduce.virtual_foams import FOAMS
 
 COARSE = foam_fits.FoamSetup(foams=FOAMS[:1], depth_m=0.008, images=2, element_m=0.014, cluster_sizes=(2,))
 

@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 from deformscope.arrays import FloatArray
-from deformscope.lab.finite_strain import Block, PressedBlock, press
-from deformscope.lab.foam import FOAMS
 from deformscope.stages.see.flow import dense_flow
 from studies.reproduce import speckle
+from studies.reproduce.pressed_block import Block, PressedBlock, press
 from studies.reproduce.speckle import SpeckleMotion, View, film
+from studies.reproduce.virtual_foams import FOAMS
 
 BLOCK, CLAMP_M = Block(0.12, 0.04, 0.1), 0.02
 VIEW = View(width=300, height=240, middle_px=150.0, top_px=29.5, px_per_m=4500.0)

@@ -3,8 +3,9 @@
 import pytest
 from scipy.stats import spearmanr
 
-from deformscope.lab.foam import FOAMS, PLATE_M2, Foam
 from deformscope.lab.ogden import OgdenFoam
+from deformscope.lab.scenes import PLATE_M2
+from studies.reproduce.virtual_foams import FOAMS, Foam
 
 
 def test_they_are_those_of_the_thesis() -> None:

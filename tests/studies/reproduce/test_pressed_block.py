@@ -6,10 +6,10 @@ from skfem import Basis, ElementQuad2, ElementVector, MeshQuad, asm, condense, s
 from skfem.models.elasticity import lame_parameters, linear_elasticity
 
 from deformscope.errors import InputError
-from deformscope.lab import finite_strain
-from deformscope.lab.finite_strain import Block, press
-from deformscope.lab.foam import FOAMS, Foam
 from deformscope.lab.ogden import OgdenFoam
+from studies.reproduce import pressed_block
+from studies.reproduce.pressed_block import Block, press
+from studies.reproduce.virtual_foams import FOAMS, Foam
 
 BLOCK = Block(0.16, 0.06, 0.1)
 CLAMP_M, COARSE_M = 0.04, 0.015
@@ -55,7 +55,7 @@ def test_ground_pushes_back_as_the_clamp_pushes() -> None:
 
 
 def test_force_is_the_energys_slope_over_depth() -> None:
-    half = finite_strain._Half(FOAMS[1].law(), BLOCK, CLAMP_M, COARSE_M)
+    half = pressed_block._Half(FOAMS[1].law(), BLOCK, CLAMP_M, COARSE_M)
     step = 1e-5
     state, energy = half.push(half.basis.zeros(), 0.0, 0.01 - step), []
     force = 0.0

@@ -25,9 +25,7 @@ from dataclasses import dataclass
 from scipy.optimize import brentq
 
 from deformscope.lab.ogden import OgdenFoam
-
-PLATE_M2 = 0.0324
-"""Area of the hardness test's plate (ISO 2439: 203 mm across)."""
+from deformscope.lab.scenes import PLATE_M2
 
 HARDNESS_STRAIN = 0.4
 SOLID_KG_M3 = 1200.0
