@@ -114,7 +114,9 @@ def _profiles_png(table: LabelledTable, modality: str) -> bytes:
     axis.set_ylabel(f"{modality}, mean\n[deviations of all trials]")
     axis.grid(alpha=0.25)
     if len(classes) <= NAMED:
-        axis.legend(fontsize=8, ncols=max(1, math.ceil(count / 12)), loc="center left", bbox_to_anchor=(1.01, 0.5))
+        axis.legend(
+            fontsize=8, ncols=max(1, math.ceil(len(classes) / 12)), loc="center left", bbox_to_anchor=(1.01, 0.5)
+        )
     return png_of(figure, DPI)
 
 

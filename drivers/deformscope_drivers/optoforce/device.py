@@ -15,7 +15,7 @@ from deformscope_drivers.errors import CommandRefused, NoReply, SettingsRefused
 from deformscope_drivers.health import Identity, Link
 from deformscope_drivers.optoforce import protocol
 from deformscope_drivers.optoforce.config import OptoforceConfig, filter_of, speed_of
-from deformscope_drivers.optoforce.counter import WRAP, CounterStep
+from deformscope_drivers.optoforce.counter import WRAP, CounterStep, Gap
 from deformscope_drivers.optoforce.measurement import ForceMeasurement, ForceMeasurer
 from deformscope_drivers.transport import CAN_FRAME_BYTES, Transport, serial_or_can
 
@@ -141,16 +141,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         gap = self._measurer.follow(event, host_ns)
         if gap.lost:
             self._count_lost(gap.lost)
-        # A DAQ that was switched off and on sends at its defaults, and has forgotten its zero point
-        if gap.verdict is CounterStep.RESTARTED:
-            self._restart = "the DAQ restarted"
-            self.settings = replace(self.settings, zeroed=False)
-        elif gap.verdict is CounterStep.LOST:
-            period_ns = self.settings.speed * 1e6
-            pause_ns = max(host_ns - self._before_ns, gap.lost * period_ns)
-            if pause_ns >= max(RESTART_S * 1e9, SILENCE_READINGS * period_ns):
-                self._restart = f"nothing for {pause_ns / 1e9:.3g} s: the DAQ may have restarted"
-                self._zero_in_doubt |= self.settings.zeroed
+        self._look_for_restart(gap, host_ns)
         self._before_ns = host_ns
         step, unfit = self._measurer.track.step, (CounterStep.JUMPED, CounterStep.LATE, CounterStep.REPEATED)
         if step is not None and gap.verdict not in unfit:
@@ -225,6 +216,18 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         self._expect(wanted.speed.rate_hz or None)
         quiet_s = max(SILENCE_S, SILENCE_READINGS * wanted.speed * 1e-3)
         self._silence_ns = round(quiet_s * 1e9) if wanted.speed else None
+
+    def _look_for_restart(self, gap: Gap, host_ns: int) -> None:
+        """A DAQ that was switched off and on sends at its defaults, and has forgotten its zero point."""
+        if gap.verdict is CounterStep.RESTARTED:
+            self._restart = "the DAQ restarted"
+            self.settings = replace(self.settings, zeroed=False)
+        elif gap.verdict is CounterStep.LOST:
+            period_ns = self.settings.speed * 1e6
+            pause_ns = max(host_ns - self._before_ns, gap.lost * period_ns)
+            if pause_ns >= max(RESTART_S * 1e9, SILENCE_READINGS * period_ns):
+                self._restart = f"nothing for {pause_ns / 1e9:.3g} s: the DAQ may have restarted"
+                self._zero_in_doubt |= self.settings.zeroed
 
     def _forget_counter(self, speed: protocol.Speed) -> None:
         self._measurer.track.restart(speed * 1e6 if speed else None)
