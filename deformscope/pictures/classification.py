@@ -114,9 +114,8 @@ def _profiles_png(table: LabelledTable, modality: str) -> bytes:
     axis.set_ylabel(f"{modality}, mean\n[deviations of all trials]")
     axis.grid(alpha=0.25)
     if len(classes) <= NAMED:
-        axis.legend(
-            fontsize=8, ncols=max(1, math.ceil(len(classes) / 12)), loc="center left", bbox_to_anchor=(1.01, 0.5)
-        )
+        columns = max(1, math.ceil(len(classes) / 12))
+        axis.legend(fontsize=8, ncols=columns, loc="center left", bbox_to_anchor=(1.01, 0.5))
     return png_of(figure, DPI)
 
 
