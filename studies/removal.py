@@ -28,7 +28,7 @@ from deformscope.experiments.measured import DENT_M, SetupGeometry, sample_box
 from deformscope.lab.depth_view import DepthView
 from deformscope.lab.layer_world import LayerWorld
 from deformscope.lab.ray_camera import FOAM, ROBOT, DepthViewConfig, Rendered
-from deformscope.lab.robot_body import RobotBody, described_robot
+from deformscope.lab.scene_lab import RobotBody, described_robot
 from deformscope.lab.scenes import built_in
 from deformscope.pictures.figures import canvas, png_of
 from deformscope.pictures.report import Figure, Table

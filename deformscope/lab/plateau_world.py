@@ -11,18 +11,187 @@ same thickness. The dent around the tip is that of linear foam at the same depth
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
+from scipy.sparse import csr_matrix
+from skfem import Basis, ElementQuad2, ElementVector, FacetBasis, MeshQuad
 
-from deformscope.arrays import FloatArray
-from deformscope.lab.axisymmetric_contact import press_ball
-from deformscope.lab.ogden import OgdenFoam
+from deformscope.arrays import FloatArray, IntArray
+from deformscope.errors import InputError
+from deformscope.lab.finite_strain import LargeStrain, OgdenFoam, stress_and_tangent
 from deformscope.lab.scenes import Piece, Scene
 from deformscope.lab.slab import RigidTip
 from deformscope.lab.slab_world import Contact, SlabWorld
+
+# A rigid ball pressed into a bonded layer of foam at large strain, without friction: finite elements around its axis.
+#
+# Nine-node quadrilaterals in a half plane (r, z), whose deformation gradient has the ring's stretch 1 + u_r / r as a
+# third axis; Ogden's law. The ball's surface pushes out nodes inside it along its normal. The penalty is so stiff that
+# they enter by about a five hundredth of the radius at the highest pressure. Newton's method as in
+# `deformscope.lab.finite_strain`.
+#
+# Forces scale with the law's moduli. So the effect of large strain is one number at each depth: the force over that of
+# linear foam of the same modulus (`deformscope.lab.plateau_world`)
+
+FINE = 0.1
+"""Size of the elements under the ball, as a share of its radius."""
+GROWTH = 1.35
+"""Ratio of the sizes of neighbouring elements, away from the contact."""
+REACH = 1.6
+"""Extent of the mesh beyond the ball, in thicknesses."""
+PENALTY = 300.0
+"""Pressure per depth of the foam inside the ball, in units of modulus over radius."""
+
+
+@dataclass(frozen=True, slots=True)
+class BallPress:
+    """Numbers at each depth, all (n,): depth_m [m]; force_n: force with which the ball pushes down [N]; ground_n: force
+    with which the table pushes up; contact_m: radius of the contact [m]"""
+
+    depth_m: FloatArray
+    force_n: FloatArray
+    ground_n: FloatArray
+    contact_m: FloatArray
+
+
+def press_ball(
+    law: OgdenFoam, radius_m: float, thickness_m: float, depths_m: Sequence[float], fine: float = FINE
+) -> BallPress:
+    """Press the ball to each of the rising depths of its lowest point below the rest surface. fine: size of the
+    elements below it, as a share of its radius. Raises InputError if no equilibrium is found."""
+    if not (radius_m > 0.0 and len(depths_m) and min(np.diff([0.0, *depths_m])) > 0.0 and depths_m[-1] < thickness_m):
+        raise InputError(
+            "depths that rise from 0 and end above the table", f"{list(depths_m)}, {thickness_m:g} m thick"
+        )
+    layer = _Layer(law, radius_m, thickness_m, fine)
+    state, reached, rows = layer.basis.zeros(), 0.0, []
+    for depth in depths_m:
+        state, reached = layer.push(state, reached, depth), depth
+        rows.append((depth, *layer.result(state)))
+    return BallPress(*np.array(rows).T)
+
+
+class _Layer(LargeStrain):
+    """The layer, meshed, and the ball above it."""
+
+    def __init__(self, law: OgdenFoam, radius_m: float, thickness_m: float, fine: float) -> None:
+        self.law = law
+        self._radius_m, self._thickness_m, self._depth_m = radius_m, thickness_m, 0.0
+        self._penalty = PENALTY * law.young / radius_m
+        size = fine * radius_m
+        along = _graded(1.2 * radius_m, radius_m + REACH * thickness_m, size)
+        down = thickness_m - _graded(min(0.6 * radius_m, 0.5 * thickness_m), thickness_m, size)[::-1]
+        mesh, element = MeshQuad.init_tensor(along, down), ElementVector(ElementQuad2())
+        self.basis: Any = Basis(mesh, element, intorder=4)
+        near = 1e-9 * thickness_m
+        top = mesh.facets_satisfying(lambda x: x[1] > thickness_m - near, boundaries_only=True)
+        self._top: Any = FacetBasis(mesh, element, facets=top, intorder=4)
+        place, axis = self.basis.doflocs, np.zeros(self.basis.N, dtype=int)
+        axis[1::2] = 1
+        bottom = place[1] < near
+        self._pushed_up: IntArray = np.flatnonzero(bottom & (axis == 1))
+        self.prescribed: IntArray = np.flatnonzero(bottom | ((place[0] < near) & (axis == 0)))
+        self.free: IntArray = self.basis.complement_dofs(self.prescribed)
+        self._ring: FloatArray = self.basis.global_coordinates()[0]
+        self._top_ring: FloatArray = self._top.global_coordinates()[0]
+        self._change, self._move = _changes(self.basis)[0], _changes(self._top)[1]
+
+    def _begin(self, state: FloatArray, reached: float, depth: float) -> FloatArray:
+        """A start for depth [m]: the displacements (n,) at depth `reached`, scaled in proportion."""
+        self._depth_m = depth
+        return state * (depth / reached) if reached > 0.0 else state
+
+    def _gradient(self, state: FloatArray) -> FloatArray:
+        """Deformation gradients (elements, points, 3, 3) along r, z and the ring."""
+        moved = self.basis.interpolate(state)
+        f = np.zeros((*self._ring.shape, 3, 3))
+        f[..., :2, :2] = np.moveaxis(np.asarray(moved.grad), (0, 1), (2, 3))
+        f[..., 2, 2] = np.asarray(moved)[0] / self._ring
+        return f + np.eye(3)
+
+    def _smallest_volume(self, state: FloatArray) -> float:
+        f = self._gradient(state)
+        return float(min(np.linalg.det(f[..., :2, :2]).min(), f[..., 2, 2].min()))
+
+    def _entered(self, state: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """How far each of the surface's points (facets, points) is inside the ball [m], 0 outside; its direction (2,
+        ...) from the ball's middle; its distance from there."""
+        place = np.asarray(self._top.global_coordinates()) + np.asarray(self._top.interpolate(state))
+        middle = np.array([0.0, self._thickness_m + self._radius_m - self._depth_m])
+        away = place - middle[:, None, None]
+        distance = np.linalg.norm(away, axis=0)
+        return np.maximum(self._radius_m - distance, 0.0), away / distance, distance
+
+    def _energy(self, state: FloatArray) -> float:
+        """Energy of state (n,) stored in the foam and in the contact's penalty [J]."""
+        stretch = np.linalg.svd(self._gradient(state), compute_uv=False)
+        stored = (self.law.energy(np.moveaxis(stretch, -1, 0)) * self._ring * self.basis.dx).sum()
+        entered, _, _ = self._entered(state)
+        pushed = 0.5 * self._penalty * (entered**2 * self._top_ring * self._top.dx).sum()
+        return float(2.0 * np.pi * (stored + pushed))
+
+    def _assemble(self, state: FloatArray) -> tuple[FloatArray, Any]:
+        """Forces (n,) [N] and tangent (n, n) [N/m] of state (n,) [m]."""
+        f = self._gradient(state)
+        stress, tangent = stress_and_tangent(self.law, f.reshape(-1, 3, 3))
+        stress, tangent = stress.reshape(*f.shape[:2], 9, 1), tangent.reshape(*f.shape[:2], 9, 9)
+        inner = _sums(self.basis, self._change, stress, tangent, self._ring)
+        entered, out, distance = self._entered(state)
+        out = np.moveaxis(out, 0, -1)[..., None]
+        both = out @ np.swapaxes(out, -1, -2)
+        aside = (entered / distance)[..., None, None] * (np.eye(2) - both)
+        pushed = self._penalty * ((entered > 0.0)[..., None, None] * both - aside)
+        push = -self._penalty * entered[..., None, None] * out
+        outer = _sums(self._top, self._move, push, pushed, self._top_ring)
+        return inner[0] + outer[0], inner[1] + outer[1]
+
+    def result(self, state: FloatArray) -> tuple[float, float, float]:
+        """Forces of ball and table [N], radius of the contact [m]."""
+        entered, out, _ = self._entered(state)
+        force = 2.0 * np.pi * self._penalty * (entered * -out[1] * self._top_ring * self._top.dx).sum()
+        moved = self._top_ring + np.asarray(self._top.interpolate(state))[0]
+        internal, _ = self._assemble(state)
+        return float(force), float(internal[self._pushed_up].sum()), float(moved[entered > 0.0].max(initial=0.0))
+
+
+def _changes(basis: Basis) -> tuple[FloatArray, FloatArray]:
+    """(elements, points, functions, 9) change of the deformation gradient with each function's share, and (..., 2) of
+    the place."""
+    ring = basis.global_coordinates()[0]
+    move = np.stack([np.moveaxis(np.asarray(one[0]), 0, -1) for one in basis.basis], axis=2)
+    change = np.zeros((*move.shape[:3], 3, 3))
+    change[..., :2, :2] = np.stack(
+        [np.moveaxis(np.asarray(one[0].grad), (0, 1), (-2, -1)) for one in basis.basis], axis=2
+    )
+    change[..., 2, 2] = move[..., 0] / ring[..., None]
+    return change.reshape(*move.shape[:3], 9), move
+
+
+def _sums(basis: Basis, shares: FloatArray, first: FloatArray, second: FloatArray, ring: FloatArray) -> tuple[Any, Any]:
+    """(N,) and (N, N): the derivatives first (elements, points, k, 1) and second (..., k, k) by what `shares`
+    (elements, points, functions, k) give for each degree of freedom, summed over the rings [N, N/m]."""
+    weight = (2.0 * np.pi * ring * basis.dx)[..., None, None]
+    vector = (weight * (shares @ first)).sum(axis=1)[..., 0]
+    matrix = (weight * (shares @ second @ np.swapaxes(shares, -1, -2))).sum(axis=1)
+    place = basis.element_dofs.T
+    row, column = (np.broadcast_to(x, matrix.shape).ravel() for x in (place[:, :, None], place[:, None, :]))
+    size = (basis.N, basis.N)
+    return np.bincount(place.ravel(), vector.ravel(), basis.N), csr_matrix((matrix.ravel(), (row, column)), size)
+
+
+def _graded(even: float, end: float, size: float) -> FloatArray:
+    """(n,) element borders from 0 to `end` [m]: `size` apart as far as `even`, then farther and farther."""
+    borders = list(np.linspace(0.0, even, max(2, round(even / size)) + 1))
+    step = size
+    while borders[-1] + 1.5 * GROWTH * step < end:
+        step *= GROWTH
+        borders.append(borders[-1] + step)
+    return np.array([*borders[:-1], end] if end - borders[-1] < 0.5 * step else [*borders, end])
+
 
 DEPTHS_M = (0.25e-3, 0.5e-3, 1e-3, 1.5e-3, 2e-3, 3e-3, 4e-3, 6e-3, 8e-3, 10e-3, 12e-3, 15e-3)
 """Depths at which the share is computed, below half the layer's thickness; beyond the last it is constant."""

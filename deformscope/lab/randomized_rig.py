@@ -22,7 +22,7 @@ from deformscope.rig.rig_file import Tool
 from deformscope.robot.placement import Placement
 from deformscope.robot.setup import T_BASE_SURFACE
 from deformscope_drivers.arm.kinematics import transform
-from deformscope_drivers.depth_camera.image import Intrinsics
+from deformscope_drivers.images import Intrinsics
 from deformscope_drivers.jaco import JacoDouble
 from deformscope_drivers.manual_arm import StandDouble
 

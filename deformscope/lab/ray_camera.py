@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.solid import Capsule, PosedSolid
-from deformscope_drivers.depth_camera.image import Intrinsics
+from deformscope_drivers.images import Intrinsics
 
 NOTHING, TABLE, FOAM, ROBOT, CONTAINER = 0, 1, 2, 3, 4
 """Surface that a pixel's ray hit."""

@@ -38,12 +38,12 @@ from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.source import RigMember, RigSource
 from deformscope_drivers.clock import Clock
 from deformscope_drivers.depth_camera import SyntheticDepthCamera, View
-from deformscope_drivers.depth_camera.image import Intrinsics
 from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig
 from deformscope_drivers.device import Device
 from deformscope_drivers.dsa import Dsa, DsaConfig, DsaDouble
 from deformscope_drivers.dsa.pads import Pad, Part
 from deformscope_drivers.errors import DeviceError
+from deformscope_drivers.images import Intrinsics
 from deformscope_drivers.memory import MemoryTransport, SimulatedClock
 from deformscope_drivers.sdh import Sdh, SdhConfig
 from deformscope_drivers.sdh.double import Port, SdhDouble

@@ -9,12 +9,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Literal
 
+from deformscope.arrays import FloatArray
 from deformscope.frames import Stream
+from deformscope.stages.map.exploration import PlannedTouch
 
 if TYPE_CHECKING:
     import rerun as rr
 
     from deformscope.log.rig.columns import Batch, Place
+    from deformscope.log.squeeze.display import Fingertips
     from deformscope.stages.map.exploration import StageFailure
 
 PictureLayout = Literal["images", "flow", "pair", "pair-3d"]
@@ -107,3 +110,91 @@ class RigLayout(RecordingLayout):
             from deformscope.log.stages import log_stage_streams
 
             log_stage_streams(rec, self.stages, self.streams)
+
+
+# The layout of an exploration's recording
+
+EXPLORATION = Application("deformscope-exploration", devices=True, robot_moves=True)
+
+
+@dataclass(frozen=True, slots=True)
+class ExplorationLayout(RecordingLayout):
+    """size_m: size of the surface along x and y; base_from_surface: (4, 4), takes positions from the surface frame to
+    the arm's base frame [m], None = the same
+
+    truth: whether the truth is known; inclusions: whether inclusions are sought
+    T_surface_camera: (4, 4), None = not known"""
+
+    size_m: tuple[float, float]
+    base_from_surface: FloatArray | None
+    truth: bool
+    inclusions: bool = False
+    T_surface_camera: FloatArray | None = None
+
+    by_touch: ClassVar[bool] = True
+
+    def blueprint(self, *, on_page: bool = False) -> rr.blueprint.Blueprint:
+        from deformscope.log.exploration.blueprint import exploration_blueprint
+
+        return exploration_blueprint(
+            self.streams, self.size_m, truth=self.truth, inclusions=self.inclusions, tabs=on_page
+        )
+
+    def log_start(self, rec: rr.RecordingStream) -> None:
+        from deformscope.log.exploration.perception import log_frames
+        from deformscope.log.exploration.results import log_exploration_start
+
+        log_exploration_start(rec, self.streams, self.base_from_surface)
+        log_frames(rec, self.base_from_surface, self.T_surface_camera)
+
+    def touch_after(self, results: Sequence[object], touch: int) -> int:
+        """Device items after the plan of a touch belong to that touch."""
+        return touch + any(isinstance(one, PlannedTouch) and one.target_m is not None for one in results)
+
+
+# A squeeze's part of its recorder
+
+SQUEEZE = Application("deformscope-squeeze", devices=True, robot_moves=True)
+
+
+@dataclass(frozen=True, slots=True)
+class SqueezeLayout(RecordingLayout):
+    """tactile, pads: the device and the pads of the fingertips that squeeze; camera: the depth camera, or empty
+
+    around_px: left, top, right, bottom of its view, None = all; named: a model names the content
+    base_from_table: (4, 4) table's frame to the base of the arm that places the hand [m], None = none does"""
+
+    tactile: str
+    pads: tuple[int, ...]
+    camera: str
+    around_px: tuple[float, float, float, float] | None = None
+    named: bool = False
+    base_from_table: FloatArray | None = None
+
+    def blueprint(self, *, on_page: bool = False) -> rr.blueprint.Blueprint:
+        from deformscope.log.squeeze.blueprint import squeeze_blueprint
+
+        placed = self.base_from_table is not None
+        return squeeze_blueprint(
+            self.streams, self.tactile, self.camera, self.around_px, named=self.named, placed=placed
+        )
+
+    def log_start(self, rec: rr.RecordingStream) -> None:
+        from deformscope.log.squeeze.display import log_place_start
+        from deformscope.log.squeeze.results import log_squeeze_start
+
+        log_squeeze_start(rec, self._fingertips())
+        log_place_start(rec, self.streams, self.base_from_table)
+
+    def prepare(
+        self, results: Sequence[object], session_ns: int, place: Place, cell_m: float, failed: list[StageFailure]
+    ) -> Batch:
+        """Results as a batch at time `session_ns`, without a frame or touch."""
+        from deformscope.log.squeeze.results import prepare_squeeze_results
+
+        return prepare_squeeze_results(results, session_ns, self._fingertips())
+
+    def _fingertips(self) -> Fingertips:
+        from deformscope.log.squeeze.display import Fingertips
+
+        return Fingertips(next(stream for stream in self.streams if stream.device == self.tactile), self.pads)

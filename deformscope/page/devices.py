@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from deformscope.frames import HealthReport, LinkChange, SessionNote, Stream, WrenchFrame
 from deformscope.page.server.messages import DeviceState, DriftState
 from deformscope.page.server.page_session import PageSession
-from deformscope.rig.drift import TareDrift
+from deformscope.rig.alarms import TareDrift
 from deformscope.session import SessionRecorder, Step
 from deformscope.stages.map.exploration import PhaseStart
 from deformscope.terminal import say

@@ -13,11 +13,9 @@ import numpy as np
 from deformscope.frames import StageCost
 from deformscope.log import layout
 from deformscope.log.canvas import Canvas
-from deformscope.log.exploration.layout import EXPLORATION
 from deformscope.log.exploration.results import CELL_M, exploration_views
-from deformscope.log.layout import RIG
+from deformscope.log.layout import EXPLORATION, RIG, SQUEEZE
 from deformscope.log.over_picture import OF_APPLICATION, picture_views
-from deformscope.log.squeeze.layout import SQUEEZE
 from deformscope.log.squeeze.results import squeeze_views
 from deformscope.log.stages import STAGE_VIEWS
 from deformscope.log.views import ShownStage, Views, stages_of

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from deformscope_drivers.arm.device import ArmState
 from deformscope_drivers.arm.kinematics import FloatArray
-from deformscope_drivers.arm.state import ArmState
 
 if TYPE_CHECKING:
     from deformscope_drivers.optoforce.measurement import ForceMeasurement

@@ -24,11 +24,10 @@ from deformscope.robot.supervisor import FORCE_FAULTS, Fault, Limits, SafetyDeci
 from deformscope_drivers.arm import Arm, ArmState, JointVelocity
 from deformscope_drivers.arm.kinematics import Chain, FloatArray, cross
 from deformscope_drivers.clock import Clock, monotonic_ns
-from deformscope_drivers.depth_camera.image import DepthImage
 from deformscope_drivers.device import Device
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.health import Health, Link
-from deformscope_drivers.images import fingerprint
+from deformscope_drivers.images import DepthImage, fingerprint
 from deformscope_drivers.optoforce.measurement import ForceMeasurement
 
 VALID_PERIODS = 4

@@ -23,7 +23,7 @@ from deformscope.robot.setup import CAMERA_HZ, CameraView, SimulatedDevices, onl
 from deformscope.robot.squeeze_plan import GripShape, RandomGrasp, draw_grasp
 from deformscope_drivers.arms import chain_of
 from deformscope_drivers.clock import Clock, monotonic_ns
-from deformscope_drivers.depth_camera.image import Intrinsics
+from deformscope_drivers.images import Intrinsics
 
 
 @dataclass(frozen=True, slots=True)

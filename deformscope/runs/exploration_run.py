@@ -16,7 +16,7 @@ from deformscope.experiments.explore.explore import TouchPlanner as TouchPlanner
 from deformscope.interruption import until_interrupted
 from deformscope.lab.scenes import OwnScene as OwnScene
 from deformscope.lab.scenes import scene_of
-from deformscope.log.exploration.layout import EXPLORATION, ExplorationLayout
+from deformscope.log.layout import EXPLORATION, ExplorationLayout
 from deformscope.results.render import to_line
 from deformscope.runs.exploration_result import NOT_KNOWN, ExplorationResult, LayerThickness, TouchOutcome, TruthScore
 from deformscope.runs.opened_devices import LAB, setup_of

@@ -71,8 +71,7 @@ def setup_of(
     if name.startswith(LAB):
         from deformscope.experiments.explore.options import TRAVEL_M_S
         from deformscope.experiments.measured import highest_m
-        from deformscope.lab.robot_body import RobotBody, described_robot
-        from deformscope.lab.scene_lab import SceneLab
+        from deformscope.lab.scene_lab import RobotBody, SceneLab, described_robot
         from deformscope.lab.scenes import built_in
         from deformscope.lab.session_errors import LabErrors
         from deformscope.robot.description import AS_CAPSULES

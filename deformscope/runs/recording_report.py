@@ -11,8 +11,7 @@ import numpy as np
 
 from deformscope.errors import InputError
 from deformscope.frames import HandFrame
-from deformscope.log.exploration.layout import EXPLORATION
-from deformscope.log.squeeze.layout import SQUEEZE
+from deformscope.log.layout import EXPLORATION, SQUEEZE
 from deformscope.pictures import exploration as drawn_of
 from deformscope.pictures.evidence import evidence_png, headline
 from deformscope.pictures.figures import depth_change_png

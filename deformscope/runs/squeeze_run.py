@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from deformscope.errors import InputError
 from deformscope.interruption import until_interrupted
-from deformscope.log.squeeze.layout import SQUEEZE, SqueezeLayout
+from deformscope.log.layout import SQUEEZE, SqueezeLayout
 from deformscope.runs import skeleton
 from deformscope.runs.opened_devices import LAB, squeeze_setup_of
 from deformscope.runs.operator import at_terminal

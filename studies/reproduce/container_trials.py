@@ -23,7 +23,7 @@ from deformscope.experiments.squeeze.squeeze import (
 from deformscope.experiments.squeeze.squeezing_hand import SqueezingHand, observer_of
 from deformscope.files.squeeze_dataset import TRIALS, SqueezeDataset, TrialEntry, TrialRow
 from deformscope.lab.container_setup import CAMERA_HZ, ContainerLab, container_lab
-from deformscope.log.squeeze.layout import SQUEEZE, SqueezeLayout
+from deformscope.log.layout import SQUEEZE, SqueezeLayout
 from deformscope.recording.recorder import Recorder
 from deformscope.session import finish, run
 

@@ -18,8 +18,7 @@ from skfem.helpers import grad
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.lab.finite_strain import LargeStrain
-from deformscope.lab.ogden import OgdenFoam, stress_and_tangent
+from deformscope.lab.finite_strain import LargeStrain, OgdenFoam, stress_and_tangent
 
 
 @dataclass(frozen=True, slots=True)

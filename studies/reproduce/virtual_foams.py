@@ -1,4 +1,4 @@
-"""Five virtual foams that represent those of Thesis table 3.3, each with a law of two terms (`deformscope.lab.ogden`).
+"""Five virtual foams that represent those of Thesis table 3.3, each with a law of two terms (`OgdenFoam`).
 
 A maker states density and hardness. Consequences of these, and remaining choices:
 
@@ -24,7 +24,7 @@ from dataclasses import dataclass
 
 from scipy.optimize import brentq
 
-from deformscope.lab.ogden import OgdenFoam
+from deformscope.lab.finite_strain import OgdenFoam
 from deformscope.lab.scenes import PLATE_M2
 
 HARDNESS_STRAIN = 0.4

@@ -14,8 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from deformscope.frames import ColorFrame, DepthFrame, HealthReport, Item, LinkChange, RawBytes, host_ns
-from deformscope.log.exploration.layout import EXPLORATION, ExplorationLayout
-from deformscope.log.layout import RIG, RigLayout
+from deformscope.log.layout import EXPLORATION, RIG, ExplorationLayout, RigLayout
 from deformscope.recording.recorder import Recorder
 from deformscope.session import Moment, Step
 from deformscope.stages.map.exploration import PlannedTouch

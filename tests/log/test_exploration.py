@@ -15,8 +15,8 @@ from deformscope.frames import ColorFrame, DepthFrame, Item, Stream
 from deformscope.images import encode_png
 from deformscope.log.exploration.blueprint import exploration_blueprint
 from deformscope.log.exploration.display import summary
-from deformscope.log.exploration.layout import EXPLORATION, ExplorationLayout
 from deformscope.log.exploration.results import log_exploration_start, prepare_results
+from deformscope.log.layout import EXPLORATION, ExplorationLayout
 from deformscope.log.rig import Place, log_streams, prepare_items
 from deformscope.recording.item_rows import Row
 from deformscope.recording.items import read_items, read_results

@@ -25,8 +25,7 @@ from deformscope.frames import (
     TactileFrame,
     WrenchFrame,
 )
-from deformscope.log.exploration.layout import EXPLORATION, ExplorationLayout
-from deformscope.log.layout import RIG, RigLayout
+from deformscope.log.layout import EXPLORATION, RIG, ExplorationLayout, RigLayout
 from deformscope.log.live_stream import (
     COLOR_WIDTH,
     DEPTH_WIDTH,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deformscope.frames import WrenchFrame
-from deformscope.rig.drift import POINTS, TareDrift
+from deformscope.rig.alarms import POINTS, TareDrift
 from deformscope_drivers.clock import Stamp
 
 

@@ -10,7 +10,7 @@ import open3d as o3d
 import pytest
 
 from deformscope.errors import InputError
-from deformscope.lab.robot_body import FOLDER, described_robot
+from deformscope.lab.scene_lab import FOLDER, described_robot
 from deformscope.rig.rig_file import Tool, load_rig
 from deformscope.rig.sections import CableSection, ShapeSection
 from deformscope.robot.description import AS_CAPSULES, DescribedCable, RobotDescription, arm_shape, describe

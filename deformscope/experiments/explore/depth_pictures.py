@@ -12,9 +12,9 @@ from deformscope.errors import InputError
 from deformscope.robot.readings import ArmSample
 from deformscope.robot.setup import CameraView
 from deformscope.robot.touch import PhaseSpan
-from deformscope_drivers.depth_camera.image import DepthImage, Intrinsics
 from deformscope_drivers.device import Device
 from deformscope_drivers.errors import DeviceError
+from deformscope_drivers.images import DepthImage, Intrinsics
 from deformscope_drivers.subscription import Subscription
 
 DENT_PICTURES = 10

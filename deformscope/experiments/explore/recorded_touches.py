@@ -33,7 +33,7 @@ from deformscope.robot.setup import CameraView, Setup
 from deformscope.robot.touch import forces_at
 from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement
 from deformscope_drivers.arm.kinematics import rotation_from_euler_xyz, transform
-from deformscope_drivers.depth_camera.image import depth_m
+from deformscope_drivers.images import depth_m
 from deformscope_drivers.manual_arm.device import MANUAL
 
 FOLLOW_S = 5.0

@@ -34,7 +34,7 @@ from deformscope.session import Moment, Step
 from deformscope.stages.map.exploration import ExplorationStop, PhaseStart
 from deformscope.stages.map.measured import LookFrames, TouchFrames
 from deformscope.stages.regions.touches import MapGrid
-from deformscope_drivers.depth_camera.image import DepthImage
+from deformscope_drivers.images import DepthImage
 from deformscope_drivers.manual_arm.device import MANUAL
 
 PREFLIGHT_CELL_M = 0.02

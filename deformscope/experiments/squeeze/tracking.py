@@ -25,7 +25,7 @@ from deformscope.stages.squeeze.container import ContainerModel, ModelRenderer, 
 from deformscope.stages.squeeze.patch import DepthChange, around, depth_change, hand_pixels, median_of
 from deformscope.stages.squeeze.track import PoseEstimate, TrackOptions, locate, track
 from deformscope.stages.squeeze.trial import ContainerChange, TrackedContainer
-from deformscope_drivers.depth_camera.image import depth_m
+from deformscope_drivers.images import depth_m
 from deformscope_drivers.sdh.kinematics import DISTAL_LINK_M, finger_points
 
 REST_IMAGES = 5

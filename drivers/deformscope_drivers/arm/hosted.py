@@ -17,9 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from deformscope_drivers.arm.commands import Velocity
-from deformscope_drivers.arm.device import Arm
+from deformscope_drivers.arm.device import Arm, ArmState
 from deformscope_drivers.arm.kinematics import Chain
-from deformscope_drivers.arm.state import ArmState
 from deformscope_drivers.clock import monotonic_ns
 from deformscope_drivers.device import RECONNECT, Reconnect
 from deformscope_drivers.errors import DeviceError, LinkLost, NoReply, NotConnected

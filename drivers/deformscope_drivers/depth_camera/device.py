@@ -12,10 +12,10 @@ from pathlib import Path
 from deformscope_drivers.clock import ClockFit
 from deformscope_drivers.depth_camera.discovery import resolve_port
 from deformscope_drivers.depth_camera.hosted import HostedCamera
-from deformscope_drivers.depth_camera.image import DepthImage, Intrinsics
 from deformscope_drivers.device import RECONNECT, Reconnect
 from deformscope_drivers.errors import NotConnected, SettingsRefused
 from deformscope_drivers.frame_message import FrameMessage
+from deformscope_drivers.images import DepthImage, Intrinsics
 from deformscope_drivers.openni.camera import OpenniSettings, serve
 from deformscope_drivers.openni.library import library_file
 

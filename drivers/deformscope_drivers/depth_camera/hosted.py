@@ -10,13 +10,12 @@ from typing import Any, ClassVar
 import numpy as np
 
 from deformscope_drivers.clock import ClockFit, Stamp
-from deformscope_drivers.depth_camera.image import DepthImage, Intrinsics
 from deformscope_drivers.device import Device, EndOfReadings, Reconnect
 from deformscope_drivers.errors import LinkLost, NotConnected
 from deformscope_drivers.frame_message import FrameMessage
 from deformscope_drivers.health import Identity
 from deformscope_drivers.hosted import HostedProcess, ProcessEnded
-from deformscope_drivers.images import QUEUE_IMAGES, fingerprint
+from deformscope_drivers.images import QUEUE_IMAGES, DepthImage, Intrinsics, fingerprint
 
 OPEN_TIMEOUT_S = 20.0
 END_TIMEOUT_S = 2.0

@@ -7,10 +7,10 @@ import math
 from dataclasses import dataclass
 
 from deformscope_drivers.depth_camera.hosted import HostedCamera
-from deformscope_drivers.depth_camera.image import Intrinsics
 from deformscope_drivers.device import RECONNECT, Reconnect
 from deformscope_drivers.errors import SettingsRefused
 from deformscope_drivers.frame_message import NO_TIME_US, FrameMessage
+from deformscope_drivers.images import Intrinsics
 from deformscope_drivers.realsense.camera import PRESETS, RealsenseSettings, serve
 
 LIBRARY = "pyrealsense2"

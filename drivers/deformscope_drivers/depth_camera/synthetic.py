@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deformscope_drivers.clock import Clock, Stamp, monotonic_ns
-from deformscope_drivers.depth_camera.image import DepthImage, Intrinsics
 from deformscope_drivers.depth_camera.sensors import TriangulatingSensor
 from deformscope_drivers.device import RECONNECT, Reconnect
-from deformscope_drivers.images import fingerprint
+from deformscope_drivers.images import DepthImage, Intrinsics, fingerprint
 from deformscope_drivers.synthetic import SyntheticConfig, SyntheticSource
 
 MAX_UINT16 = 65535

@@ -11,8 +11,8 @@ from collections import deque
 from dataclasses import dataclass
 from typing import cast
 
+from deformscope_drivers.arm.device import ArmState
 from deformscope_drivers.arm.kinematics import Chain, euler_xyz_from_rotation
-from deformscope_drivers.arm.state import ArmState
 from deformscope_drivers.clock import Clock, Stamp
 from deformscope_drivers.jaco.library import Functions, read
 from deformscope_drivers.jaco.structures import (

@@ -8,7 +8,7 @@ import time
 import numpy as np
 
 from deformscope_drivers.errors import LinkLost, NotConnected
-from deformscope_drivers.webcam.capture import Setting
+from deformscope_drivers.webcam.device import Setting
 
 
 class FakeCamera:

@@ -13,7 +13,7 @@ from deformscope_drivers.device import Reconnect
 from deformscope_drivers.errors import LinkLost, NotConnected, SettingsRefused, Stale
 from deformscope_drivers.health import Link
 from deformscope_drivers.webcam import Webcam, WebcamConfig
-from deformscope_drivers.webcam.capture import OpencvCapture, Setting, open_v4l2
+from deformscope_drivers.webcam.device import OpencvCapture, Setting, open_v4l2
 from tests.drivers.contract import Bench, DeviceContract, wait_until
 from tests.drivers.webcam.fake_capture import FakeCamera
 

@@ -25,7 +25,7 @@ from deformscope.robot.placement import Placement
 from deformscope.robot.setup import CameraView, Setup
 from deformscope.robot.touch import STILL_S
 from deformscope.stages.regions.touch_error import GAIN_SD
-from deformscope_drivers.depth_camera.image import Intrinsics
+from deformscope_drivers.images import Intrinsics
 from deformscope_drivers.jaco.chains import J2N6S300
 from deformscope_drivers.pacing import STEERING, may_be_prompt
 from studies.fault_study import FaultScene, make_scene
