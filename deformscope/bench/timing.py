@@ -6,7 +6,7 @@ import gc
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 SPREAD = 0.2
@@ -75,19 +75,10 @@ class TimingRow:
     def plain(self, against: Mapping[str, Any] | None = None) -> dict[str, object]:
         """The row as in the JSON. against: the row of an earlier run that did the same, as in its JSON."""
         then = None if against is None else against["median"]
-        return {
-            "case": self.case,
-            "what": self.what,
-            "who": self.who,
-            "unit": self.unit,
+        return asdict(self) | {
             "median": self.median,
             "iqr": self.spread,
             "repeats": len(self.samples),
-            "samples": list(self.samples),
-            "costs": self.costs,
-            "beside": self.beside,
-            "facts": dict(self.facts),
-            "note": self.note,
             "doubt": self.doubt,
             "against": self.median / then if then and self.median else None,
         }

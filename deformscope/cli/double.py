@@ -8,10 +8,10 @@ from typing import Any
 from deformscope.cli.common import say
 from deformscope.config import DoubleConfig
 from deformscope.errors import InputError
-from deformscope.interruption import until_interrupted
 from deformscope.lab.double_device import WIRED, wire_of
 from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.rig_file import load_rig
+from deformscope.terminal import until_interrupted
 from deformscope_drivers.doubles import announced
 from deformscope_drivers.wires import Wire
 

@@ -17,7 +17,7 @@ from deformscope.files.pairs import parse_pair
 from deformscope.pictures.figures import dents_png
 from deformscope.pictures.report import Figure, Findings, Table
 from deformscope.runs import prediction
-from deformscope.runs.poke_comparison import compare
+from deformscope.runs.prediction import compare
 from deformscope.session import Step
 from deformscope.stages.msm.solver import pick_device
 from deformscope.stages.poke.comparison import together

@@ -7,6 +7,7 @@ with one another (`InputError`). Nothing heavy is imported here: `--help` shows 
 
 from __future__ import annotations
 
+from deformscope.config.arm import FilesConfig, GoConfig, HomeConfig, JogConfig, MovingOptions, WhereConfig
 from deformscope.config.calibrate import (
     AxesConfig,
     BetaConfig,
@@ -46,20 +47,7 @@ from deformscope.config.rigs import (
     RigRunOptions,
     VerifyConfig,
 )
-from deformscope.config.setup import (
-    CameraConfig,
-    FilesConfig,
-    ForceConfig,
-    GoConfig,
-    HomeConfig,
-    JogConfig,
-    MovingOptions,
-    PlaceConfig,
-    SetupOptions,
-    TimeConfig,
-    TipConfig,
-    WhereConfig,
-)
+from deformscope.config.setup import CameraConfig, ForceConfig, PlaceConfig, SetupOptions, TimeConfig, TipConfig
 from deformscope.config.squeeze import (
     DatasetConfig,
     DiscardConfig,

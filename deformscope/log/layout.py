@@ -172,7 +172,7 @@ class SqueezeLayout(RecordingLayout):
     base_from_table: FloatArray | None = None
 
     def blueprint(self, *, on_page: bool = False) -> rr.blueprint.Blueprint:
-        from deformscope.log.squeeze.blueprint import squeeze_blueprint
+        from deformscope.log.squeeze.results import squeeze_blueprint
 
         placed = self.base_from_table is not None
         return squeeze_blueprint(

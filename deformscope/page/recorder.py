@@ -12,7 +12,6 @@ from types import TracebackType
 from typing import Any, Literal, Protocol
 
 from deformscope.frames import HealthReport, NoteKind, SessionNote, Stream, host_ns
-from deformscope.interruption import Interruption
 from deformscope.log.layout import RigLayout
 from deformscope.page.devices import ShownDevices
 from deformscope.page.server import messages
@@ -22,7 +21,7 @@ from deformscope.recording.losses import since
 from deformscope.recording.recent import RecentItems, end_with_recent, write_recent
 from deformscope.recording.recorder import Recorder, RecordingSummary
 from deformscope.rig.source import RigSource
-from deformscope.terminal import say
+from deformscope.terminal import Interruption, say
 from deformscope_drivers.clock import monotonic_ns
 
 ROOM = 2.0

@@ -7,10 +7,10 @@ import threading
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 
-from deformscope.interruption import Interruption
 from deformscope.page.devices import ShownDevices
 from deformscope.page.server.messages import Outcome, PageCommand, Phase, StartSqueezing, StopRun
 from deformscope.page.server.page_session import PageSession
+from deformscope.terminal import Interruption
 
 
 class RobotPage(ABC):

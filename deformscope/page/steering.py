@@ -14,13 +14,13 @@ import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.experiments.explore.explore import ExplorationStopped, NextMove
-from deformscope.interruption import Interruption
 from deformscope.page.devices import ShownDevices
 from deformscope.page.robot_page import RobotPage
 from deformscope.page.server import messages
 from deformscope.page.server.page_session import PageSession
 from deformscope.robot.supervisor import Fault
 from deformscope.stages.map import exploration
+from deformscope.terminal import Interruption
 
 SURFACE_ENTITIES = ("surface", "observed", "asked", "target", "contacts", "table")
 """Entities on the surface in the view, below `SCENE`: a click on them selects a place of the surface."""

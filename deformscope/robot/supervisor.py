@@ -13,8 +13,7 @@ import numpy as np
 
 from deformscope.errors import InputError
 from deformscope.rig.rig_file import Workspace
-from deformscope.robot.clearance import ArmBox, ArmClearance
-from deformscope.robot.collision import CollisionWatch, CurrentWatch
+from deformscope.robot.clearance import ArmBox, ArmClearance, CollisionWatch, CurrentWatch
 from deformscope.robot.latch import Action, Alarm, Decision, LatchingSupervisor
 from deformscope.robot.readings import ArmSample, CameraSample, ForceSample, RobotObservation
 from deformscope_drivers.arm.kinematics import Chain, FloatArray, rotation_vector

@@ -20,7 +20,6 @@ from deformscope.experiments.rig.arm_compliance import (
     combine_compliance,
     touch_rigid,
 )
-from deformscope.interruption import until_interrupted
 from deformscope.log.findings import RigFindings
 from deformscope.pictures.report import Figure
 from deformscope.pictures.setup import compliance_png
@@ -32,7 +31,7 @@ from deformscope.session import RigExperiment, Step
 from deformscope.session import run as run_session
 from deformscope.stages.map.exploration import ExplorationStop
 from deformscope.stages.poke.contact import ArmCompliance
-from deformscope.terminal import say
+from deformscope.terminal import say, until_interrupted
 
 if TYPE_CHECKING:
     from deformscope.config import ArmConfig

@@ -14,7 +14,6 @@ import numpy as np
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.experiments.explore.options import ExploreOptions
-from deformscope.interruption import Interruption, until_interrupted
 from deformscope.lab.rig_members import member_of
 from deformscope.rig.rig_file import load_rig
 from deformscope.robot.advice import where_it_stands
@@ -31,7 +30,7 @@ from deformscope.runs.operator import POLL_S, Keys, RunOperator, terminal_keys
 from deformscope.runs.skeleton import leave_arm, open_rig_run, signal_word
 from deformscope.session import BATCH_S, Inline
 from deformscope.stages.map.exploration import ExplorationStop
-from deformscope.terminal import say
+from deformscope.terminal import Interruption, say, until_interrupted
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.pacing import STEERING, be_prompt
 

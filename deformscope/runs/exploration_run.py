@@ -13,7 +13,6 @@ import numpy as np
 
 from deformscope.errors import InputError
 from deformscope.experiments.explore.explore import TouchPlanner as TouchPlanner
-from deformscope.interruption import until_interrupted
 from deformscope.lab.scenes import OwnScene as OwnScene
 from deformscope.lab.scenes import scene_of
 from deformscope.log.layout import EXPLORATION, ExplorationLayout
@@ -23,7 +22,7 @@ from deformscope.runs.opened_devices import LAB, setup_of
 from deformscope.runs.result import open_recorder
 from deformscope.runs.skeleton import leave_arm, open_run, permitted
 from deformscope.stages.msm.quiet import quiet_warp
-from deformscope.terminal import say
+from deformscope.terminal import say, until_interrupted
 from deformscope.version import __version__
 
 if TYPE_CHECKING:
@@ -32,7 +31,6 @@ if TYPE_CHECKING:
     from deformscope.experiments.explore.explore import Exploration
     from deformscope.experiments.explore.options import ExploreOptions
     from deformscope.experiments.explore.recorded_touches import RecordedTouches
-    from deformscope.interruption import Interruption
     from deformscope.lab.faults import FaultsToCome
     from deformscope.page.devices import ShownDevices
     from deformscope.page.server.page_session import PageSession
@@ -41,6 +39,7 @@ if TYPE_CHECKING:
     from deformscope.robot.setup import Setup
     from deformscope.session import RigExperiment, Step
     from deformscope.stages.map.exploration import TouchEstimate
+    from deformscope.terminal import Interruption
 
 
 INCLUSION_FORCE_N = 5.0

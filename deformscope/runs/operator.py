@@ -11,10 +11,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from deformscope.errors import InputError
-from deformscope.interruption import Interruption
 from deformscope.robot.jogging import LEAVE
 from deformscope.session import RigExperiment, Step
-from deformscope.terminal import say
+from deformscope.terminal import Interruption, say
 
 if TYPE_CHECKING:
     from deformscope.robot.by_hand import PlaceRequest

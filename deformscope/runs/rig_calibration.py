@@ -16,7 +16,6 @@ from deformscope.errors import InputError
 from deformscope.experiments.rig.rig_calibration import Assistant, SetupRequest
 from deformscope.file_io import read_file, replacing
 from deformscope.files.arrays_file import read_arrays
-from deformscope.interruption import Interruption, until_interrupted
 from deformscope.lab.rig_members import member_of
 from deformscope.log.findings import RigFindings
 from deformscope.pictures.report import Figure, Findings, Table
@@ -27,7 +26,7 @@ from deformscope.runs.opened_devices import table_of
 from deformscope.runs.operator import RunOperator, at_terminal
 from deformscope.runs.skeleton import open_rig_run
 from deformscope.session import RigExperiment, Step, run
-from deformscope.terminal import say
+from deformscope.terminal import Interruption, say, until_interrupted
 
 if TYPE_CHECKING:
     from deformscope.config import SetupOptions

@@ -18,7 +18,6 @@ from deformscope.config.rigs import StageOptions
 from deformscope.experiments.live.live_stages import StageCounts, live_stages
 from deformscope.file_io import new_recording
 from deformscope.frames import HealthReport, Item, StageResult, Stream
-from deformscope.interruption import Interruption, until_interrupted
 from deformscope.lab.rig_members import members_of
 from deformscope.log.layout import RIG, RigLayout
 from deformscope.page.devices import remark_of
@@ -35,7 +34,7 @@ from deformscope.runs.result import ViewerChoice, open_recorder
 from deformscope.runs.skeleton import open_run, signal_word
 from deformscope.session import run as run_session
 from deformscope.stages.msm.quiet import quiet_warp
-from deformscope.terminal import say
+from deformscope.terminal import Interruption, say, until_interrupted
 from deformscope_drivers.health import Health
 
 if TYPE_CHECKING:

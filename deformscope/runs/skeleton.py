@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from deformscope.experiments.explore.options import ExploreOptions
     from deformscope.experiments.explore.touching_robot import TouchingRobot
     from deformscope.frames import HealthReport
-    from deformscope.interruption import Interruption
     from deformscope.page.robot_page import RobotPage
     from deformscope.page.server.page_session import PageSession
     from deformscope.recording.recorder import Recorder
@@ -33,6 +32,7 @@ if TYPE_CHECKING:
     from deformscope.session import RigExperiment, SessionRecorder
     from deformscope.stages.map.exploration import ExplorationStop
     from deformscope.stages.squeeze.trial import SqueezeStop
+    from deformscope.terminal import Interruption
 
 PageT = TypeVar("PageT", bound="RobotPage")
 

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deformscope.errors import InputError
-from deformscope.interruption import until_interrupted
 from deformscope.log.layout import SQUEEZE, SqueezeLayout
 from deformscope.runs import skeleton
 from deformscope.runs.opened_devices import LAB, squeeze_setup_of
@@ -18,7 +17,7 @@ from deformscope.runs.operator import at_terminal
 from deformscope.runs.result import open_recorder
 from deformscope.runs.skeleton import agree, open_run
 from deformscope.runs.squeeze_result import SqueezeResult
-from deformscope.terminal import say
+from deformscope.terminal import say, until_interrupted
 
 if TYPE_CHECKING:
     from deformscope.arrays import FloatArray
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
     from deformscope.experiments.squeeze.frames import Predict
     from deformscope.experiments.squeeze.squeeze import Squeezed
     from deformscope.files.squeeze_dataset import SqueezeDataset, TrialEntry
-    from deformscope.interruption import Interruption
     from deformscope.page.devices import ShownDevices
     from deformscope.page.robot_page import PageSqueezing
     from deformscope.page.server.page_session import PageSession
@@ -36,6 +34,7 @@ if TYPE_CHECKING:
     from deformscope.runs.opened_devices import SqueezeOpening
     from deformscope.session import RigExperiment
     from deformscope.stages.squeeze.model import ContentModel
+    from deformscope.terminal import Interruption
 
 MODEL_INPUT = "model.npz"
 """The model, as an input in the recording."""

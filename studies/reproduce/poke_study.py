@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from deformscope.lab.slab import RigidTip, Slab, press
-from deformscope.runs.poke_comparison import compare
+from deformscope.runs.prediction import compare
 from deformscope.stages.fit.model import Observation
 from deformscope.stages.msm.poke import Tip
 from deformscope.stages.poke.comparison import PokeComparison

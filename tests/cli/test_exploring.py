@@ -11,10 +11,10 @@ import pytest
 
 from deformscope.errors import InputError
 from deformscope.experiments.explore.options import ExploreOptions
-from deformscope.interruption import until_interrupted
 from deformscope.robot.checks import Check, Preflight
 from deformscope.runs.skeleton import permitted
 from deformscope.session import Inline, Step, run
+from deformscope.terminal import until_interrupted
 from tests.cases import Capture, Patch
 
 WELL, BAD = (Preflight((Check("arm: still", passed, "at rest", "what came"),)) for passed in (True, False))

@@ -124,7 +124,7 @@ def test_an_unseen_poke_is_compared_with_what_else_one_might_take(
     finest_m: float | None, folder: Path, capsys: Capture, monkeypatch: Patch
 ) -> None:
     """finest_m: of the finite elements' mesh, None = as users get it"""
-    monkeypatch.setattr("deformscope.runs.poke_comparison.press", partial(slab.press, finest=finest_m))
+    monkeypatch.setattr("deformscope.runs.prediction.press", partial(slab.press, finest=finest_m))
     unseen = str(folder / "unseen.npz")
     assert main(["predict", str(folder / "model.npz"), "--against", unseen, unseen, "--json", "-"]) == 0
     printed = capsys.readouterr()

@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from deformscope_drivers.continuity import Continuity, Missing
+from deformscope_drivers.health import Continuity, Missing
 
 S = 1_000_000_000
 

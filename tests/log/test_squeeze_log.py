@@ -11,9 +11,8 @@ from rerun.chunk import Chunk
 
 from deformscope.frames import Pad, Stream
 from deformscope.log.layout import SQUEEZE, SqueezeLayout
-from deformscope.log.squeeze.blueprint import squeeze_blueprint
 from deformscope.log.squeeze.display import Fingertips
-from deformscope.log.squeeze.results import prepare_squeeze_results
+from deformscope.log.squeeze.results import prepare_squeeze_results, squeeze_blueprint
 from deformscope.pictures.figures import depth_change_png
 from deformscope.recording.items import read_results
 from deformscope.recording.recorder import Recorder

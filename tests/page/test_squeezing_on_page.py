@@ -5,7 +5,6 @@ from typing import Any
 
 import pytest
 
-from deformscope.interruption import Interruption
 from deformscope.page.devices import ShownDevices
 from deformscope.page.robot_page import PageSqueezing
 from deformscope.page.server.messages import ConfirmMove, StartSqueezing, StopRun
@@ -13,6 +12,7 @@ from deformscope.page.server.page_session import PageSession
 from deformscope.recording.items import read_results
 from deformscope.runs.skeleton import Watch
 from deformscope.stages.squeeze.trial import SqueezePhase, SqueezeStop
+from deformscope.terminal import Interruption
 from tests.page.pages import page_script
 from tests.page.test_pieces import FakeClock
 from tests.page.test_rig_on_page import started

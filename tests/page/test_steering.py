@@ -10,7 +10,6 @@ import pytest
 
 from deformscope.experiments.explore.explore import ExplorationStopped
 from deformscope.experiments.explore.touching_robot import CheckFirst
-from deformscope.interruption import Interruption
 from deformscope.page.server import messages
 from deformscope.page.server.page_session import CONFIRM_S, PageSession
 from deformscope.page.steering import PageSteering, add_measured, curve_of, is_surface
@@ -21,6 +20,7 @@ from deformscope.robot.supervisor import Fault
 from deformscope.robot.touch import TouchEnding, TouchRecord, run_touch
 from deformscope.runs import operator, skeleton
 from deformscope.stages.map.exploration import PlannedTouch, TouchForecast
+from deformscope.terminal import Interruption
 from studies.fault_study import FaultScene, make_scene
 from tests.log.synthetic_exploration import touch
 

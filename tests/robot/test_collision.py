@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deformscope.robot.advice import advice
-from deformscope.robot.collision import CollisionWatch, CurrentWatch
+from deformscope.robot.clearance import CollisionWatch, CurrentWatch
 from deformscope.robot.preflight import check
 from deformscope.robot.readings import ArmSample, ForceSample, RobotObservation
 from deformscope.robot.robot import RobotStopped

@@ -20,9 +20,8 @@ from deformscope.executor.tasks import compute_all
 from deformscope.results.declared import reported
 from deformscope.stages.squeeze import groupings
 from deformscope.stages.squeeze.classifiers import NAMES
-from deformscope.stages.squeeze.groupings import Grouping, Normality
+from deformscope.stages.squeeze.groupings import Grouping, Normality, near_copies, without_near_copies
 from deformscope.stages.squeeze.intervals import Estimated, Interval, difference, holm, over_splits, share_of, wilson
-from deformscope.stages.squeeze.near_copies import near_copies, without_near_copies
 from deformscope.stages.squeeze.scores import ClassificationScore, accuracy_of, recalls, score_of, split_ratio, worth_of
 from deformscope.stages.squeeze.splits import PROTOCOLS, Protocol, Split, draw, splitting_notes
 from deformscope.stages.squeeze.table import LISTED, LabelledTable, absent, refuse_duplicates

@@ -12,7 +12,7 @@ from deformscope.errors import InputError
 from deformscope.stages.squeeze.components import Scaling, fit_scaling, kept_of, loadings
 from deformscope.stages.squeeze.evaluation import Progress, held_values
 from deformscope.stages.squeeze.fusion import Expert, Pool, fit_expert, fit_pool, fuse
-from deformscope.stages.squeeze.near_copies import fingerprints
+from deformscope.stages.squeeze.groupings import fingerprints
 from deformscope.stages.squeeze.table import LabelledTable, absent
 
 

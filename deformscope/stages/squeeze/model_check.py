@@ -13,9 +13,9 @@ from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.results.declared import derived, reported
 from deformscope.stages.squeeze.evaluation import held_values
+from deformscope.stages.squeeze.groupings import trained_on
 from deformscope.stages.squeeze.intervals import Estimated, Interval, share_among_new, trials_worth, wilson
 from deformscope.stages.squeeze.model import ContentModel
-from deformscope.stages.squeeze.near_copies import trained_on
 from deformscope.stages.squeeze.scores import BINS, ClassificationScore, balanced_worth, cluster_sizes, reliability_of
 from deformscope.stages.squeeze.table import LabelledTable, absent
 from deformscope.stages.squeeze.trial_run import joined_name

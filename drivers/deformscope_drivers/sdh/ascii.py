@@ -17,8 +17,21 @@ from __future__ import annotations
 import math
 import re
 
-from deformscope_drivers.sdh.codes import AXIS_COUNT, CODES, ERRORS, INTEGER_COMMANDS, MEASURED_COUNT, TEXT_COMMANDS
-from deformscope_drivers.sdh.events import Command, DebugLine, ErrorReply, Event, Reading, TextReply, ValueReply
+from deformscope_drivers.sdh.codes import (
+    AXIS_COUNT,
+    CODES,
+    ERRORS,
+    INTEGER_COMMANDS,
+    MEASURED_COUNT,
+    TEXT_COMMANDS,
+    Command,
+    DebugLine,
+    ErrorReply,
+    Event,
+    Reading,
+    TextReply,
+    ValueReply,
+)
 
 LINE_MAX = 256  # of a line's text; the longest known is 85 bytes
 

@@ -13,8 +13,18 @@ import math
 import struct
 
 from deformscope_drivers.framing import GoodFrame, Refused, crc16
-from deformscope_drivers.sdh.codes import AXIS_COUNT, CODES, ERRORS, MEASURED_COUNT, NAMES
-from deformscope_drivers.sdh.events import Command, ErrorReply, Event, Reading, ValueReply
+from deformscope_drivers.sdh.codes import (
+    AXIS_COUNT,
+    CODES,
+    ERRORS,
+    MEASURED_COUNT,
+    NAMES,
+    Command,
+    ErrorReply,
+    Event,
+    Reading,
+    ValueReply,
+)
 
 FIRST_CODE, LAST_CODE = min(NAMES), max(NAMES)
 CHECKSUM_SIZE = 2

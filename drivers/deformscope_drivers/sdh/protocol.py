@@ -19,13 +19,13 @@ from deformscope_drivers.framing import Skipped as Skipped
 from deformscope_drivers.sdh import ascii as text
 from deformscope_drivers.sdh import binary
 from deformscope_drivers.sdh.codes import CODES
-from deformscope_drivers.sdh.events import Command as Command
-from deformscope_drivers.sdh.events import DebugLine as DebugLine
-from deformscope_drivers.sdh.events import ErrorReply as ErrorReply
-from deformscope_drivers.sdh.events import Event as Event
-from deformscope_drivers.sdh.events import Reading as Reading
-from deformscope_drivers.sdh.events import TextReply as TextReply
-from deformscope_drivers.sdh.events import ValueReply as ValueReply
+from deformscope_drivers.sdh.codes import Command as Command
+from deformscope_drivers.sdh.codes import DebugLine as DebugLine
+from deformscope_drivers.sdh.codes import ErrorReply as ErrorReply
+from deformscope_drivers.sdh.codes import Event as Event
+from deformscope_drivers.sdh.codes import Reading as Reading
+from deformscope_drivers.sdh.codes import TextReply as TextReply
+from deformscope_drivers.sdh.codes import ValueReply as ValueReply
 
 END_OF_COMMAND: Final = b" \r\n"
 """Ends a command that came half; what a host sends first."""

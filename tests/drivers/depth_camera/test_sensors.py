@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from deformscope_drivers.depth_camera.sensors import PRIMESENSE, REALSENSE, TriangulatingSensor
+from deformscope_drivers.depth_camera.synthetic import PRIMESENSE, REALSENSE, TriangulatingSensor
 
 LENS_PX = 285.0  # 320 pixels wide
 EXACT = TriangulatingSensor(580.0, 0.075, 1e-9, 0.0, bleeding=0)
