@@ -82,16 +82,15 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "config": ("bench_cases", "errors", "file_io"),
     "file_io": ("errors",),
     "terminal": ("errors",),
-    "interruption": ("terminal",),
     # What pages show of runs, and how they steer them.
     "page": (
         *("arrays", "config", "errors", "experiments", "file_io", "files", "frames", "images"),
-        *("interruption", "log", "page.server", "pictures", "processes", "recording", "rig", "robot"),
+        *("log", "page.server", "pictures", "processes", "recording", "rig", "robot"),
         *("session", "terminal", *STAGES),
     ),
     # From options to results, with devices, files or a recording, and doubles where they are asked for.
     "runs": (
-        *("arrays", "config", "errors", "experiments", "file_io", "files", "frames", "images", "interruption", "lab"),
+        *("arrays", "config", "errors", "experiments", "file_io", "files", "frames", "images", "lab"),
         *(
             "executor",
             "imports",
