@@ -78,7 +78,7 @@ class RobotBody:
         self._truth: RobotDescription = describe(section, J2N6S300, FOLDER)
 
     def seen(
-        self, placement: Placement, T_base_links: FloatArray, center_m: FloatArray
+        self, placement: Placement, T_base_links: NDArray[np.float64], center_m: NDArray[np.float64]
     ) -> tuple[tuple[Capsule, ...], tuple[PosedSolid, ...]]:
         """What a camera sees of the robot, surface frame: first stick, ball and cable, then all other parts.
 
