@@ -146,8 +146,8 @@ def space_view(
     **more: Any,
 ) -> rrb.View:
     """A view in space, z upwards. contents: shown entities, empty = those below `origin`; position, look_target: (3,)
-    of the eye; frame: the frame that it shows; floor: RGB of lines on
-    the ground, each 0.1, None = no lines; more: more of the view"""
+    place of the eye, and the place that it looks at; frame: the frame that it shows; floor: RGB of lines on the ground,
+    each 0.1, None = no lines; more: more of the view"""
     grid = rrb.LineGrid3D(visible=False)
     if floor is not None:
         grid = rrb.LineGrid3D(visible=True, spacing=0.1, color=list(floor))
