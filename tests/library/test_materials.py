@@ -10,7 +10,7 @@ from deformscope.frames import Stream, WrenchFrame
 from deformscope.log.layout import RIG, RigLayout
 from deformscope.recording.reader import Replay
 from deformscope.recording.recorder import Recorder
-from deformscope.runs.materials import kept_force, recorded_force
+from deformscope.runs.force_log import kept_force, recorded_force
 from deformscope_drivers.clock import Stamp
 
 START_NS = 5_000_000_000
