@@ -145,8 +145,14 @@ def test_grams_given_as_newtons_and_a_scale_wrong_by_ten_are_doubted() -> None:
 
 def test_a_video_without_motion_has_no_stiffness() -> None:
     still = fit(video((0.0, 0.0)), **scaled())
-    assert still.verdict == "unidentified"
-    assert still.to_dict().get("modulus_verdict", "unidentified") == "unidentified"
+    shown = still.to_dict()
+    assert {shown["verdict"], shown["stiffness_verdict"], shown["modulus_verdict"]} == {"unidentified"}
+
+
+def test_without_a_part_that_stands_the_fit_is_there_and_says_why_no_modulus_is() -> None:
+    alone = fit(held=("top",), **scaled())
+    assert (alone.to_dict()["modulus_verdict"], alone.estimate.modulus) == ("unidentified", None)
+    assert any("a still part among --held" in one.text for one in alone.reasons)
 
 
 def write_log(path: Path, offset_s: float, rate_hz: float, seconds: float = 8.0, unit: str = "N") -> FloatArray:

@@ -108,7 +108,11 @@ def found_by_force(estimate: Estimate, pushed: Pushed, push: PushOptions, seed: 
     if push.thickness_m is None or seen.metres_per_unit is None:
         return dataclasses.replace(estimate, reasons=ordered(doubts))
     plane: Plane = "strain" if push.plane_strain else "stress"
-    found = plane_modulus(seen, push.thickness_m, push.thickness_sd, plane, level, seed)
+    try:
+        found = plane_modulus(seen, push.thickness_m, push.thickness_sd, plane, level, seed)
+    except InputError as error:  # of the motion: the fit itself stands
+        doubts.append(Doubt("not-converged", f"no modulus: {error}"))
+        return dataclasses.replace(estimate, modulus_verdict="unidentified", reasons=ordered(doubts))
     doubts += [one for one in found.reasons if one.code == "units"]
     return dataclasses.replace(
         estimate,

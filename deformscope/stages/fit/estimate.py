@@ -275,7 +275,7 @@ class Estimate(ReportedResult):
             found = "{:.3g} N/mm ({:.3g} to {:.3g})".format(*_flat(self.contact_stiffness))
             rows.append(("stiffness at the contact", f"{self.stiffness_verdict}: {found}"))
         if self.modulus is None or self.poisson is None:
-            return [*rows, ("modulus", "give --thickness-m")]
+            return [*rows, ("modulus", self.modulus_verdict or "give --thickness-m")]
         found = "{:.3g} kPa ({:.3g} to {:.3g})".format(*(1e-3 * one for one in _flat(self.modulus)))
         ratio = "{:.2f} ({:.2f} to {:.2f})".format(*_flat(self.poisson))
         known = "" if self.poisson[1][1] - self.poisson[1][0] <= RATIO_KNOWN else "not determined: "
