@@ -12,7 +12,7 @@ from scipy.special import ndtri
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.fit.calibrate import Observation
-from deformscope.stages.fit.doubts import OF_STIFFNESS, ordered
+from deformscope.stages.fit.doubts import ordered
 from deformscope.stages.fit.estimate import Doubt, Estimate, Plane, PushCurve, WithInterval, relative_verdict
 from deformscope.stages.fit.force import depth_along, pushed_along
 from deformscope.stages.materials.force_offset import ForceOffset, find_offset
@@ -24,6 +24,10 @@ MOST_N = 100.0
 """A larger force is not what a kitchen scale shows [N]."""
 GAIN, RESOLUTION_N = 0.02, 9.80665e-3
 """Standard deviation of a force that is not stated: a share of it, and 1 g."""
+
+
+OF_IMAGES = ("nothing-moved", "rigid-motion", "axes-swapped", "unfit-images", "body-unsure")
+"""Doubts of a fit that concern stiffness and modulus too, which do not rest on the fitted model."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +97,7 @@ def found_by_force(estimate: Estimate, pushed: Pushed, push: PushOptions, seed: 
     force: WithInterval = (seen.force_n, (max(seen.force_n - half, 0.0), seen.force_n + half))
     at = pushed.offset
     offset = None if at is None else (at.value, at.interval)
-    of_both = [one for one in estimate.reasons if one.code in OF_STIFFNESS and one.code != "little-explained"]
+    of_both = [one for one in estimate.reasons if one.code in OF_IMAGES]
     stiffness = estimate.contact_stiffness
     estimate = dataclasses.replace(
         estimate,
