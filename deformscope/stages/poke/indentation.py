@@ -46,7 +46,7 @@ MOST_OF_RADIUS, MOST_OF_LAYER, MOST_DEPTH_M = 0.3, 0.2, 0.1
 law holds within some 3 % up to 0.3 radii (Lin et al. 2009, Biomech. Model. Mechanobiol. 8, 345). Deeper ones than the
 last [m] are taken to be of another unit."""
 POISSONS, DRAWS = 5, 4000
-"""Values of Poisson's ratio at which a bonded layer's law is solved, where it is a range; draws of an interval."""
+"""Values of Poisson's ratio, where it is a range; draws of an interval."""
 HELD, LONG, BEGUN = 0.01, 0.1, 0.02
 """Share of depth or force within which a tip holds; least duration of a hold over that of the loading; share of the
 peak below which the tip is taken to be free."""
@@ -413,21 +413,16 @@ def fit_indentation(curve: IndentCurve, sample: IndentSample) -> IndentEstimate:
     radius_m = sample.tip.contact_radius_m(dent_m)
     _check_sides(sample, radius_m, curve.name)
     shares = poke.shares(fit, law)
-    random = np.random.default_rng(0)
-    nu = random.uniform(low, high, DRAWS)
+    nu = np.linspace(low, high, POISSONS)  # a range: the interval holds whichever it is
     plane_log = np.interp(nu, ratios, np.log(plane))
     young_log = plane_log + np.log1p(-(nu**2))
+    random = np.random.default_rng(0)
     error = float(np.linalg.norm([one.sd for one in shares])) * random.standard_normal(DRAWS)
-    stuck = random.uniform(size=DRAWS) * np.log(friction_ratio(nu, radius_m / (sample.thickness_m or np.inf)))
-    sides = -float(np.log1p(-sample.free_sides(radius_m)))
+    ratio = np.log(friction_ratio(nu, radius_m / (sample.thickness_m or np.inf)))
+    stuck, sides = random.uniform(size=DRAWS) * ratio.mean(), -float(np.log1p(-sample.free_sides(radius_m)))
+    ends = float(np.quantile(error - stuck, 0.05)), float(np.quantile(error, 0.95)) + sides
     (value, interval), (plane_pa, plane_interval) = (
-        (
-            float(np.exp(np.median(one))),
-            (
-                float(np.exp(np.quantile(one + error - stuck, 0.05))),
-                float(np.exp(np.quantile(one + error, 0.95) + sides)),
-            ),
-        )
+        (float(np.exp(one[POISSONS // 2])), (float(np.exp(one.min() + ends[0])), float(np.exp(one.max() + ends[1]))))
         for one in (young_log, plane_log)
     )
     half_space = TipLaw(sample.tip, law.deepest_m)
@@ -461,7 +456,7 @@ def fit_indentation(curve: IndentCurve, sample: IndentSample) -> IndentEstimate:
         rate_n_per_s=None if times is None else peak_rate(times[loading], poke.force_n[loading], poke.noise_n)[0],
         shares=(
             *shares,
-            ModulusShare("Poisson's ratio", float(young_log.std())),
+            ModulusShare("Poisson's ratio", 0.5 * float(np.ptp(young_log))),
             ModulusShare("friction", float(stuck.std())),
             ModulusShare("free sides (upper end alone)", sides),
         ),
