@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import Any, TypeVar
 
 import cv2
@@ -79,11 +80,12 @@ def dense_flow(before: Image, after: Image) -> FlowField:
     return _flow(_featured(a), _featured(b))
 
 
-def flow_both_ways(before: Image, after: Image) -> tuple[FlowField, FlowField]:
-    """`dense_flow` from `before` to `after` and back; at once where OpenCV is held to one thread."""
+def flow_both_ways(before: Image, after: Image, at: FloatArray | None = None) -> tuple[FlowField, FlowField]:
+    """`dense_flow` from `before` to `after` and back; at once where OpenCV is held to one thread. at: (K, 2) points
+    (x, y) [px]: if the images correlate by `FITS` at all of them without features, these are not sought"""
     first, second = _views(before, after)
     a, b = _both(lambda: _featured(first), lambda: _featured(second))
-    return _both(lambda: _flow(a, b), lambda: _flow(b, a))
+    return _both(lambda: _flow(a, b, at), lambda: _flow(b, a, at))
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,11 +93,12 @@ class FlowStep:
     """A step from one image of a sequence to the next.
 
     forward, backward: flow there and back
-    fits: (H, W) each, local correlation of the images under each of them"""
+    fits: (H, W) each, local correlation of the images under each of them; steady: refined from the step before"""
 
     forward: FlowField
     backward: FlowField
     fits: tuple[FloatArray, FloatArray]
+    steady: bool = False
 
 
 def flow_onward(before: Image, after: Image, last: FlowStep | None = None, at: FloatArray | None = None) -> FlowStep:
@@ -110,24 +113,31 @@ def flow_onward(before: Image, after: Image, last: FlowStep | None = None, at: F
         there, back, *was = last.forward.flow_px, last.backward.flow_px, *last.fits
         if at is not None:
             there, back, *was = (_follow(one, last.backward.flow_px)[0] for one in (there, back, *was))
-        fields = _both(lambda: _refine(a, b, there, PASSES_ONWARD), lambda: _refine(b, a, back, PASSES_ONWARD))
+        refine = partial(_refine, passes=PASSES_ONWARD, quick=at is not None)
+        fields = _both(lambda: refine(a, b, there), lambda: refine(b, a, back))
         fits = _fits(a, b, fields)
-        drops = [one - fit for one, fit in zip(was, fits, strict=True)]
+        drops: list[FloatArray] = [one - fit for one, fit in zip(was, fits, strict=True)]
         if at is not None:
-            col, row = np.rint(at).astype(int).clip(0, (a.shape[1] - 1, a.shape[0] - 1)).T
-            drops = [drop[row, col] for drop in drops]
+            drops = [_nearest(drop, at) for drop in drops]
         if all(float(drop.max(initial=0.0)) < FIT_DROP for drop in drops):
-            return FlowStep(*fields, fits)
-    fields = flow_both_ways(before, after)
+            return FlowStep(*fields, fits, steady=True)
+    fields = flow_both_ways(before, after, at)
     return FlowStep(*fields, _fits(a, b, fields))
 
 
-def refined(before: Image, after: Image, rough: tuple[FlowField, FlowField]) -> tuple[FlowField, FlowField]:
-    """Flow both ways, from that of the same images at half or a third of their resolution."""
+def refined(before: Image, after: Image, rough: FlowStep, last: tuple[FlowStep, FlowField] | None = None) -> FlowField:
+    """Forward flow, from a step between the same images at half or a third of their resolution.
+
+    last: the step before it and its flow in these pixels, if `rough` goes on from it: what is finer than `rough` is
+    taken over from there, and one pass is enough"""
     a, b = _views(before, after)
-    times = round(a.shape[1] / rough[0].flow_px.shape[1])
-    there, back = (_enlarge(one.flow_px * np.float32(times), a.shape) for one in rough)
-    return _both(lambda: _refine(a, b, there, PASSES_ONWARD), lambda: _refine(b, a, back, PASSES_ONWARD))
+    times = np.float32(round(a.shape[1] / rough.forward.flow_px.shape[1]))
+    if last is None:
+        return _refine(a, b, _enlarge(rough.forward.flow_px * times, a.shape), PASSES_ONWARD, quick=True)
+    step, fine = last
+    change = rough.forward.flow_px - _follow(step.forward.flow_px, step.backward.flow_px)[0]
+    finer = _follow(fine.flow_px, _enlarge(step.backward.flow_px * times, a.shape))[0]
+    return _refine(a, b, finer + _enlarge(change * times, a.shape), PASSES_ONWARD[-1:], quick=True)
 
 
 def reduced(image: Image, by: int) -> Image:
@@ -150,21 +160,28 @@ def _both(first: Callable[[], T], second: Callable[[], T]) -> tuple[T, T]:
         return first(), other.result()
 
 
-@dataclass(frozen=True, slots=True)
+def _nearest(values: FloatArray, at: FloatArray) -> FloatArray:
+    """(K,) values of an (H, W) array at the pixels nearest to points (K, 2) [px]."""
+    col, row = np.rint(at).astype(int).clip(0, (values.shape[1] - 1, values.shape[0] - 1)).T
+    return np.asarray(values[row, col])
+
+
+@dataclass(frozen=True)
 class _Featured:
     """An image on 0..255, (H, W); rounded to 8 bits; its features: places (n, 2) [px] and their SIFT descriptors."""
 
     grey: FloatArray
     grey8: Image
-    at: FloatArray
-    words: Any
+
+    @cached_property
+    def features(self) -> tuple[FloatArray, Any]:
+        keys, words = cv2.SIFT.create(nfeatures=4000, contrastThreshold=0.02).detectAndCompute(self.grey8, None)
+        return np.array([key.pt for key in keys]), words
 
 
 def _featured(grey: FloatArray) -> _Featured:
-    """An image (h, w), 0 to 255, with its features."""
-    grey8 = np.clip(np.rint(grey), 0, 255).astype(np.uint8)
-    keys, words = cv2.SIFT.create(nfeatures=4000, contrastThreshold=0.02).detectAndCompute(grey8, None)
-    return _Featured(grey, grey8, np.array([key.pt for key in keys]), words)
+    """An image (h, w), 0 to 255, whose features are sought when they are needed."""
+    return _Featured(grey, np.clip(np.rint(grey), 0, 255).astype(np.uint8))
 
 
 def _views(before: Image, after: Image) -> tuple[FloatArray, FloatArray]:
@@ -179,8 +196,8 @@ def _views(before: Image, after: Image) -> tuple[FloatArray, FloatArray]:
     return _stretch(a, b)
 
 
-def _flow(a: _Featured, b: _Featured) -> FlowField:
-    return _refine(a.grey, b.grey, _coarse(a, b))
+def _flow(a: _Featured, b: _Featured, at: FloatArray | None = None) -> FlowField:
+    return _refine(a.grey, b.grey, _coarse(a, b, at), quick=at is not None)
 
 
 def _stretch(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -198,11 +215,13 @@ def _stretch(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
 # --- pixel accuracy -------------------------------------------------------------------------------------------------
 
 
-def _coarse(a: _Featured, b: _Featured) -> FloatArray:
+def _coarse(a: _Featured, b: _Featured, at: FloatArray | None) -> FloatArray:
     """(h, w, 2) flow [px] by DIS, once from rest and once from feature matches; each pixel takes the flow under which
-    its window fits."""
+    its window fits. at: see `flow_both_ways`"""
     a8, b8 = a.grey8, b.grey8
     flow = _dis(a8, b8, None)
+    if at is not None and (_nearest(_fit(a8, b8, flow), at) > FITS).all():
+        return flow
     start = _from_features(a, b)
     if start is None:
         return flow
@@ -226,15 +245,16 @@ def _dis(a8: Image, b8: Image, start: FloatArray | None) -> FloatArray:
 
 def _from_features(a: _Featured, b: _Featured) -> FloatArray | None:
     """A rough flow from SIFT matches (Lowe 2004), (H, W, 2) [px]; None where too few agree with their neighbours."""
-    if min(len(a.at), len(b.at)) < 2:
+    (a_at, a_words), (b_at, b_words) = a.features, b.features
+    if min(len(a_at), len(b_at)) < 2:
         return None
-    pairs = cv2.BFMatcher(cv2.NORM_L2).knnMatch(a.words, b.words, k=2)
+    pairs = cv2.BFMatcher(cv2.NORM_L2).knnMatch(a_words, b_words, k=2)
     good = [first for first, second in pairs if first.distance < 0.8 * second.distance]
     if len(good) < 8:
         return None
-    found = a.at[[match.queryIdx for match in good]]
+    found = a_at[[match.queryIdx for match in good]]
     at, first_of = np.unique(found, axis=0, return_index=True)
-    motion = b.at[[good[i].trainIdx for i in first_of]] - at
+    motion = b_at[[good[i].trainIdx for i in first_of]] - at
     # A right match moves like half its neighbours at least: within 3 px and 30 % strain.
     far, near = scipy.spatial.cKDTree(at).query(at, min(9, len(at)))
     agree = np.linalg.norm(motion[near] - motion[:, None], axis=2) < 3.0 + 0.3 * far
@@ -269,6 +289,9 @@ PASSES_ONWARD = PASSES[-2:]
 """Passes that start from the previous step's flow, or from that of a lower resolution: a third pass changes no
 particle's error (docs/results/fits.md)."""
 
+FITS = 0.9
+"""Correlation in a window of 8 px of images that surely show the same."""
+
 FIT_DROP = 0.25
 """Fall of the correlation in a window of 8 px, between two steps of a sequence, that noise does not explain. In steady
 motion the largest drop in an image is .10 to .17, in a jump of 3 px 1.3."""
@@ -280,12 +303,15 @@ PASSED = (0.15, 0.5, 1.15)
 """Noise variance after each of these smoothings, in units of that of one window of 6 px (set on known motions)."""
 
 
-def _refine(a: FloatArray, b: FloatArray, flow: FloatArray, passes: Sequence[float] = PASSES) -> FlowField:
+def _refine(
+    a: FloatArray, b: FloatArray, flow: FloatArray, passes: Sequence[float] = PASSES, *, quick: bool = False
+) -> FlowField:
     """Windowed Lucas-Kanade steps from a flow that is right to about a pixel.
 
     Each pass warps `b` by the flow and matches its local brightness and contrast to `a`. It solves the 2 x 2 normal
     equations of every window for a correction, and smooths the result. The flow lives on every second pixel: it is
-    smoother than that, and it saves three quarters of the work."""
+    smoother than that, and it saves three quarters of the work. quick: the widest smoothing is worked out on a coarser
+    grid"""
     a, b = (_blur(x, 0.7) for x in (a, b))  # noise that no interpolation follows
     unit = max(float(np.std(a)), 1e-3)
     a, fine = a / unit, _double(b / unit)
@@ -317,7 +343,7 @@ def _refine(a: FloatArray, b: FloatArray, flow: FloatArray, passes: Sequence[flo
         (contrast,) = _window_means(sigma, (target * target + warped * warped) * inside)
         misfit = np.clip((rr - 2.0 * np.median(rr)) / (contrast + 1e-4), 0.0, 1.0)
         weight = (1.0 - misfit) * texture / (texture + damping) + 1e-3
-        u, left = _smooth(u, weight, (open_ + 1e-7) / (texture + 1e-7))
+        u, left = _smooth(u, weight, (open_ + 1e-7) / (texture + 1e-7), quick)
     # Noise has gradients too, about 0.15 of the residual's power: those say nothing.
     left = left * (texture + 1e-7) / (np.maximum(texture - 0.15 * rr, 0.25 * texture) + 1e-7)
     flow, noise, misfit = (_enlarge(x, a.shape) for x in (u, np.sqrt(np.minimum(left, 100.0)), misfit))
@@ -333,16 +359,19 @@ def _alike(a: FloatArray, b: FloatArray, inside: FloatArray) -> tuple[FloatArray
     return a, b * np.sqrt(np.clip(gain, 0.25, 4.0))
 
 
-def _smooth(u: FloatArray, weight: FloatArray, variance: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _smooth(
+    u: FloatArray, weight: FloatArray, variance: FloatArray, quick: bool = False
+) -> tuple[FloatArray, FloatArray]:
     """The flow smoothed as widely as noise alone explains what a narrower smoothing would add (Wiener's rule).
 
     u: (h, w, 2) on the half grid; weight: (h, w) certainty; variance: (h, w) variance of one coordinate [px^2]
     returns the smooth flow and the variance that is left, (h, w) [px^2]"""
     sigmas = [sigma / 2 for sigma in SMOOTHING_PX]
-    smooth, left = _certain_blur(u, weight, sigmas[0]), PASSED[0] * variance
+    blur = _wide_blur if quick else _blur
+    smooth, left = _certain_blur(u, weight, sigmas[0], blur), PASSED[0] * variance
     for wider, sigma, passed in zip(sigmas, sigmas[1:], np.diff(PASSED), strict=False):
-        detail = _certain_blur(u, weight, sigma) - smooth
-        seen = _blur((detail * detail).sum(axis=2), wider)
+        detail = _certain_blur(u, weight, sigma, blur) - smooth
+        seen = blur((detail * detail).sum(axis=2), wider)
         # Noise of two coordinates, of which about half reaches the detail.
         share = np.clip(1.0 - 0.5 * 2.0 * variance / (seen + 1e-12), 0.0, 1.0)
         smooth = smooth + share[:, :, None] * detail
@@ -350,13 +379,15 @@ def _smooth(u: FloatArray, weight: FloatArray, variance: FloatArray) -> tuple[Fl
     return smooth, left
 
 
-def _certain_blur(u: FloatArray, weight: FloatArray, sigma: float) -> FloatArray:
+def _certain_blur(
+    u: FloatArray, weight: FloatArray, sigma: float, blur: Callable[[FloatArray, float], FloatArray]
+) -> FloatArray:
     """Normalised Gaussian smoothing of u (h, w, c) by weights (h, w), twice, the second time of what the first took
     away: quadratics pass unchanged. sigma: [px]"""
     w = weight[:, :, None]
-    norm = _blur(weight, sigma)[:, :, None]
-    once = _blur(w * u, sigma) / norm
-    return np.asarray(once + _blur(w * (u - once), sigma) / norm)
+    norm = blur(weight, sigma)[:, :, None]
+    once = blur(w * u, sigma) / norm
+    return np.asarray(once + blur(w * (u - once), sigma) / norm)
 
 
 def _follow(b: FloatArray, flow: FloatArray, scale: int = 1) -> tuple[FloatArray, FloatArray]:

@@ -84,6 +84,7 @@ class Follower:
         self._margin = MARGIN
         self._view: View | None = None
         self._last: FlowStep | None = None
+        self._fine: tuple[FlowStep, FlowField] | None = None
 
     def step(self, before: Image, after: Image, tracked: Tracked) -> tuple[FlowField, Tracked]:
         """Flow from one image to the next, and the particles there. tracked: the particles in `before`"""
@@ -110,11 +111,17 @@ class Follower:
         a, b = (reduced(view.cut(image), view.fine) for image in (before, after))
         here = tracked.position_px[tracked.seen] - (view.x, view.y) + 0.5
         times = view.coarse // view.fine
-        coarse = reduced(a, times), reduced(b, times)
-        self._last = flow_onward(*coarse, self._last, here / view.coarse - 0.5)
-        fields = self._last.forward, self._last.backward
+        at = here / view.coarse - 0.5
+        self._last = step = flow_onward(reduced(a, times), reduced(b, times), self._last, at)
+        corner, rough = (view.x, view.y), None
+        forward, backward = step.forward, step.backward.placed(corner, view.coarse)
         if times > 1:
-            jumps = np.abs(sample(fields[0].flow_px, here / view.coarse - 0.5)) * times > JUMP_PX
-            fields = flow_both_ways(a, b) if jumps.any() else refined(a, b, fields)
-        placed = [one.placed((view.x, view.y), view.fine) for one in fields]
-        return placed[0], advance(tracked, *placed)
+            if (np.abs(sample(forward.flow_px, at)) * times > JUMP_PX).any():
+                forward, back = flow_both_ways(a, b, here / view.fine - 0.5)
+                backward = back.placed(corner, view.fine)
+            else:
+                rough = forward.placed(corner, view.coarse)
+                forward = refined(a, b, step, self._fine if step.steady else None)
+        self._fine = step, forward
+        forward = forward.placed(corner, view.fine)
+        return forward, advance(tracked, forward, backward, rough)

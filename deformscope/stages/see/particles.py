@@ -248,10 +248,11 @@ def start(grid: ParticleGrid) -> Tracked:
     return Tracked(grid.rest_px.astype(float), np.zeros(count), np.ones(count, dtype=bool), np.zeros(count))
 
 
-def advance(tracked: Tracked, forward: FlowField, backward: FlowField) -> Tracked:
+def advance(tracked: Tracked, forward: FlowField, backward: FlowField, rough: FlowField | None = None) -> Tracked:
     """Carry the particles one image further: x(t+1) = x(t) + flow(x(t)) (Thesis eq. 3.20).
 
-    forward: flow from the present image to the next; backward: flow from the next image to the present
+    forward: flow from the present image to the next; backward: flow from the next image to the present; rough: forward
+    flow that the backward flow returns, if it is not `forward`, at its resolution
 
     A particle is lost if it leaves the image, its flow is not finite, its surroundings differ at the new place (misfit
     over one half), or the backward flow does not return it. The forward-backward residual e = f(x) + b(x + f(x)) (Kalal
@@ -265,13 +266,15 @@ def advance(tracked: Tracked, forward: FlowField, backward: FlowField) -> Tracke
     underestimates it, by up to a factor of a hundred: image noise changes forward and backward flow equally, and
     cancels in e. Not covered: motion finer than the flow's smoothing, saturated pixels, changing shadows, and edges
     between the object and its background."""
-    if forward.flow_px.shape != backward.flow_px.shape:
-        raise InputError("two flows of one size", f"{forward.flow_px.shape} and {backward.flow_px.shape}")
+    returned = forward if rough is None else rough
+    if returned.flow_px.shape != backward.flow_px.shape:
+        raise InputError("two flows of one size", f"{returned.flow_px.shape} and {backward.flow_px.shape}")
     here = tracked.position_px
     cell = forward.inside(here)
     step = sample(forward.flow_px, cell)
     there = here + step
-    residual = step + sample(backward.flow_px, backward.inside(there))
+    out = sample(returned.flow_px, returned.inside(here))
+    residual = out + sample(backward.flow_px, backward.inside(here + out))
     length = np.linalg.norm(residual, axis=1)
     found = tracked.seen & np.isfinite(length)
     # Over the nine nearest found particles, itself among them: one particle's own residual is a single draw, and the
@@ -284,7 +287,7 @@ def advance(tracked: Tracked, forward: FlowField, backward: FlowField) -> Tracke
         around = np.abs(residual[found][near]).reshape(len(here), -1)
         # The median of |normal| is 0.6745 of its standard deviation.
         spread = np.median(around, axis=1) / 0.6745 / np.sqrt(2)
-    limit = RESIDUAL_PX * forward.scale + RESIDUAL_SHARE * np.linalg.norm(step, axis=1)
+    limit = RESIDUAL_PX * backward.scale + RESIDUAL_SHARE * np.linalg.norm(step, axis=1)
     with np.errstate(invalid="ignore"):  # what is not finite is not found either
         seen = found & (length <= np.clip(5.0 * typical, limit, 3.0 * limit))
     if forward.misfit is not None:

@@ -248,9 +248,9 @@ def whole(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """An entry for each step of a sequence that is worked out as a pair."""
     calls: list[str] = []
 
-    def counted(before: Array, after: Array) -> tuple[flows.FlowField, flows.FlowField]:
+    def counted(before: Array, after: Array, at: Array | None = None) -> tuple[flows.FlowField, flows.FlowField]:
         calls.append("pair")
-        return flow_both_ways(before, after)
+        return flow_both_ways(before, after, at)
 
     monkeypatch.setattr(flows, "flow_both_ways", counted)
     return calls

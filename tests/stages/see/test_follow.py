@@ -58,13 +58,13 @@ def worked(monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
     count = {"found": 0, "refined": 0}
     both, refine = flows.flow_both_ways, flows._refine
 
-    def found(a: Image, b: Image) -> tuple[FlowField, FlowField]:
+    def found(a: Image, b: Image, at: npt.NDArray[np.float64] | None = None) -> tuple[FlowField, FlowField]:
         count["found"] += a.size
-        return both(a, b)
+        return both(a, b, at)
 
-    def counted(a: Image, *more: object) -> FlowField:
+    def counted(a: Image, *more: object, **options: object) -> FlowField:
         count["refined"] += a.size
-        return refine(a, *more)  # type: ignore[arg-type]
+        return refine(a, *more, **options)  # type: ignore[arg-type]
 
     monkeypatch.setattr(flows, "flow_both_ways", found)
     monkeypatch.setattr(flows, "_refine", counted)
