@@ -420,6 +420,7 @@ class Scene:
         self.border = np.concatenate(
             [a + sides[:, None] * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)]
         )
+        self.ground = (-1.3 * float(view[0]), -1.3 * float(view[1]), 1.3 * float(view[0]), 0.0)
         self.start = np.zeros((0, 2))
 
     def image(self, motion: Motion, raised: float, camera: Floats, index: int, rng: np.random.Generator) -> Images:
@@ -479,7 +480,7 @@ class Scene:
         everywhere[seen] = rest
         draw(share, self.foam, everywhere, "foam", self.case.contrast)
         if self.case.holding != "clamped":
-            ground = self.covered([_through(camera, _rectangle(-1.0, -1.0, 1.0, 0.0))])
+            ground = self.covered([_through(camera, _rectangle(*self.ground))])
             draw(ground, self.table, world - self.middle, "table", 0.12)
         draw(np.ones(len(world)), self.wall, world - self.middle, "wall", 0.1)
         return shade.reshape(self.case.height_px, self.case.width_px, 3)
