@@ -58,6 +58,22 @@ def test_a_sample_is_what_its_tool_makes(name: str) -> None:
 
 
 @pytest.mark.slow
+def test_the_sponge_is_found_and_its_modulus_is_the_truth(capsys: pytest.CaptureFixture[str]) -> None:
+    """With the flags of the tutorial, and no word of where it is."""
+    truth = tomllib.loads((sample_path("sponge") / "sample.toml").read_text(encoding="utf-8"))["truth"]
+    flags = ["--force", "sample:sponge/force.csv", "--scale-from", "280,446,678,444=100mm", "--thickness-m", "0.04"]
+    fewer = ["--candidates", "5", "--json", "-"]
+    assert main(["calibrate", "beta", "sample:sponge", *flags, *fewer]) == 0
+    said = capsys.readouterr()
+    assert "--held bottom,contact" in said.err
+    found = json.loads(said.out)
+    assert found["modulus_verdict"] == "identified"
+    for name in ("modulus_pa", "contact_stiffness_n_per_mm"):
+        low, high = found[name]["interval"]
+        assert low < truth[name] < high
+
+
+@pytest.mark.slow
 def test_the_sponge_is_the_finite_elements_of_its_truth() -> None:
     """Force, stiffness and scale, and each image up to what the compression takes."""
     tool: dict[str, Any] = runpy.run_path(str(ROOT / "tools" / "samples.py"))
