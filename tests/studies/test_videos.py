@@ -13,7 +13,7 @@ from studies.videos import FilmOutcome, accuracy, compared, flags_of
 
 SMALL = {"width_px": 320, "height_px": 240, "frames": 2, "rest": 1, "ramp": 1}
 ONE = FilmOutcome(
-    2000, "tool", 1 / 30, (2.0, 1e4, 0.2, 1.5), (2.04, 1.2e4, 0.25, 1.52), (1.9, 1e4, 0.1, 1.4), (2.1,) * 4
+    2000, "tool", 1 / 30, 0.0, (2.0, 1e4, 0.2, 1.5), (2.04, 1.2e4, 0.25, 1.52), (1.9, 1e4, 0.1, 1.4), (2.1,) * 4
 )
 
 
@@ -46,6 +46,8 @@ def test_errors_and_intervals_are_counted() -> None:
     assert (stiffness["near"].hits, stiffness["near"].cases, stiffness["doubted"].rate) == (1, 2, 1.0)
     assert (modulus["near"].cases, modulus["near"].hits, modulus["doubted"].hits) == (1, 0, 0)
     assert (clock["near"].hits, clock["held"].hits) == (1, 2)
+    slow = dataclasses.replace(ONE, lag_s=0.3)
+    assert accuracy("all", [ONE, slow])[-1]["near"].cases == 1
 
 
 @pytest.mark.slow
