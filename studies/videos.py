@@ -142,7 +142,7 @@ def fitted(video: RenderedVideo, folder: Path, known: Mapping[str, Any], encoder
         overlap=overlap,
         held=held,
         contact=contact,
-        unsure=bool(settings.get("found", {}).get("doubts")),
+        unsure="body-unsure" in reasons,
     )
 
 
