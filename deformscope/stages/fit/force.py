@@ -17,7 +17,7 @@ from deformscope.stages.msm.solver import Msm
 FORCE_SHARE = 0.05
 """Standard deviation of a force without stated noise, as a share of the force."""
 
-ONWARD_SHARE = 0.25
+ONWARD_SHARE = 0.35
 """Standard deviation of a motion that is continued to a body's face, as a share of the difference."""
 
 FLOW_WINDOW_PX = 60.0
