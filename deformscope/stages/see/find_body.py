@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 import cv2
 import numpy as np
+import scipy  # its parts are imported as they are first used: who only reads results needs none
 
 from deformscope.arrays import BoolArray, FloatArray, ImageArray
 from deformscope.stages.see.flow import dense_flow, grey
@@ -38,6 +39,9 @@ BACKGROUND = 0.6
 
 STILL_PX = 0.5
 """Motion beyond the background [px of the small image] below which nothing moves."""
+
+BODY_LIKE = 0.15
+"""Frequency of a colour in the body, as a share of its commonest, from which that colour is the body's."""
 
 ENTERS, UNLIKE = 0.7, 1.0
 """Least share of what moves at a side of the picture that follows the tool; least distance of its colour from the
@@ -427,8 +431,10 @@ def _region(image: ImageArray, shade: Any, motion: _Motion) -> tuple[BoolArray, 
     views = views[::-1] if textural else views
     first = _body(views[0], labels, seed, tool)
     coarse = (labels[::2, ::2], seed[::2, ::2], tool[::2, ::2])
-    second = _body(np.ascontiguousarray(views[1][::2, ::2]), *coarse)
-    return first, tool, float(np.mean(first[::2, ::2] & second) / np.mean(first[::2, ::2] | second))
+    second = _body(np.ascontiguousarray(views[not textural][::2, ::2]), *coarse)
+    agree = float(np.mean(first[::2, ::2] & second) / np.mean(first[::2, ::2] | second))
+    stem = _stem(first, tool) if tool.any() else tool
+    return first & ~stem, tool | stem, agree
 
 
 def _colours(image: ImageArray) -> Any:
@@ -450,11 +456,20 @@ def _tool(motion: _Motion, moving: BoolArray, lab: Any) -> BoolArray:
     if _unlike(lab[rigid], lab[seed]) < UNLIKE:
         return np.zeros(rigid.shape, dtype=bool)
     zone = moving | _grown(rigid, 7)
-    labels = np.where(rigid, cv2.GC_PR_FGD, np.where(zone, cv2.GC_PR_BGD, cv2.GC_BGD)).astype(np.uint8)
+    like_body, like_tool = (_typical(lab, one) for one in (seed, rigid & _rim(rigid.shape, 2 * RIM)))
+    tool = rigid & ~((like_body > BODY_LIKE) & (like_body > like_tool))
+    labels = np.where(tool, cv2.GC_PR_FGD, np.where(zone, cv2.GC_PR_BGD, cv2.GC_BGD)).astype(np.uint8)
     labels[_shrunk(seed, 3)] = cv2.GC_BGD
     view = lab.copy()
     view[~zone] = np.median(lab[seed], axis=0)
     return _largest(_open(_cut(view, labels) & zone, 3), rigid)
+
+
+def _typical(lab: Any, sample: BoolArray) -> FloatArray:
+    """(h, w) how often the colour of each pixel occurs in a sample, as a share of that of its commonest colour."""
+    counts = cv2.calcHist([lab], [0, 1, 2], sample.astype(np.uint8), [32, 32, 32], [0, 256] * 3)
+    soft = scipy.ndimage.gaussian_filter(counts, 1.0)
+    return np.asarray((soft / max(float(soft.max()), 1e-9))[tuple(np.moveaxis(lab // 8, -1, 0))])
 
 
 def _unlike(first: Any, second: Any) -> float:
@@ -589,6 +604,29 @@ def _strip(
     return columns, top, moved[at[0], columns], moved[at[1], columns]
 
 
+def _side_of(region: BoolArray, tool: BoolArray) -> Literal["top", "bottom", "left", "right"]:
+    """The side of the body at which the tool is."""
+    away = cv2.distanceTransform((~region).astype(np.uint8), cv2.DIST_L2, 5)
+    tip = tool & (away <= away[tool].min() + EDGE_PX)
+    seen = {one: (_seen_from(one, region).any(axis=1).argmax(), _seen_from(one, tip)) for one in SIDES}
+    return max(SIDES, key=lambda one: float(seen[one][0] - np.nonzero(seen[one][1])[0].mean()))
+
+
+def _stem(region: BoolArray, tool: BoolArray) -> BoolArray:
+    """(h, w) part of the region that stands out from its side below the tool: a part of that with another colour."""
+    side = _side_of(region, tool)
+    body, pushed = _seen_from(side, region), _grown(_seen_from(side, tool), 9).any(axis=0)
+    edge, there = body.argmax(axis=0), body.any(axis=0)
+    if np.count_nonzero(there & pushed) < EDGE_PX or np.mean(pushed[there]) > 0.8:
+        return np.zeros(region.shape, dtype=bool)
+    line = np.median(edge[there & ~pushed])
+    if np.median(edge[there & pushed]) > line - 2 * EDGE_PX:
+        return np.zeros(region.shape, dtype=bool)
+    found = body & (np.arange(len(body))[:, None] < line) & pushed
+    back = found[::-1] if side in ("bottom", "right") else found
+    return np.asarray(back.T if side in ("left", "right") else back)
+
+
 def _cut_off(side: str, region: BoolArray, share: FloatArray) -> float:
     """Share of a side that is the border of the picture."""
     return float(np.mean(_strip(side, region, share)[1] <= max(2, 0.015 * min(region.shape))))
@@ -600,11 +638,7 @@ def _contact(
     """The tool's footprint on the body [px of the small image], its side, a side that is driven as a whole, and how
     sure that is, 0 to 1. Without a tool the footprint is where a side moves most."""
     if tool.any():
-        away = cv2.distanceTransform((~region).astype(np.uint8), cv2.DIST_L2, 5)
-        tip = tool & (away <= away[tool].min() + EDGE_PX)
-        side = max(
-            SIDES, key=lambda one: _seen_from(one, region).any(1).argmax() - np.nonzero(_seen_from(one, tip))[0].mean()
-        )
+        side = _side_of(region, tool)
         turned, body = _seen_from(side, tool), _seen_from(side, region)
         both = np.flatnonzero(turned.any(axis=0) & body.any(axis=0))
         gap = body[:, both].argmax(axis=0) - (len(turned) - turned[::-1, both].argmax(axis=0))
@@ -657,7 +691,7 @@ def _held(
     sure = 1.0
     for side in SIDES:
         edge, _, at_edge, inside = _strip(side, region, share)
-        if _cut_off(side, region, share) > 0.5:
+        if _cut_off(side, region, share) > (0.5 if background else 0.2):  # without one there is no tool to be cut off
             held.append(side)
         elif background and side != contact:
             both = np.isfinite(at_edge) & np.isfinite(inside)
