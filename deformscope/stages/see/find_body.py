@@ -331,7 +331,8 @@ def _motion(shades: Sequence[Any], flows: Sequence[FloatArray], slack: float = 1
         for chosen in (known & rim, known):
             if (tried := _similarity(at, flow, chosen, slack * BACKGROUND_PX)) is None:
                 continue
-            share = float(np.mean((np.linalg.norm(flow - _carried(at, tried), axis=2) < BACKGROUND_PX)[known & rim]))
+            follows = np.linalg.norm(flow - _carried(at, tried), axis=2) < BACKGROUND_PX
+            share = float(np.mean(follows[known & rim])) if (known & rim).any() else 0.0
             if share > best + 0.1:
                 best, fit = share, tried
         carried = _carried(at, fit)
@@ -430,6 +431,8 @@ def _region(image: ImageArray, shade: Any, motion: _Motion) -> tuple[BoolArray, 
     views = [lab, np.dstack([_blur(lab[:, :, 0], 1.5), tint, rough]).astype(np.uint8)]
     views = views[::-1] if textural else views
     first = _body(views[0], labels, seed, tool)
+    if np.count_nonzero(first) < FEWEST:
+        return np.ones(size, dtype=bool), tool, 0.0
     coarse = (labels[::2, ::2], seed[::2, ::2], tool[::2, ::2])
     second = _body(np.ascontiguousarray(views[not textural][::2, ::2]), *coarse)
     agree = float(np.mean(first[::2, ::2] & second) / np.mean(first[::2, ::2] | second))
@@ -615,14 +618,14 @@ def _side_of(region: BoolArray, tool: BoolArray) -> Literal["top", "bottom", "le
 def _stem(region: BoolArray, tool: BoolArray) -> BoolArray:
     """(h, w) part of the region that stands out from its side below the tool: a part of that with another colour."""
     side = _side_of(region, tool)
-    body, pushed = _seen_from(side, region), _grown(_seen_from(side, tool), 9).any(axis=0)
+    body, pushed = _seen_from(side, region), _seen_from(side, _grown(tool, 9)).any(axis=0)
     edge, there = body.argmax(axis=0), body.any(axis=0)
     if np.count_nonzero(there & pushed) < EDGE_PX or np.mean(pushed[there]) > 0.8:
         return np.zeros(region.shape, dtype=bool)
-    line = np.median(edge[there & ~pushed])
+    line = float(np.median(edge[there & ~pushed]))
     if np.median(edge[there & pushed]) > line - 2 * EDGE_PX:
         return np.zeros(region.shape, dtype=bool)
-    found = body & (np.arange(len(body))[:, None] < line) & pushed
+    found: BoolArray = np.asarray(body & (np.arange(len(body))[:, None] < line) & pushed)
     back = found[::-1] if side in ("bottom", "right") else found
     return np.asarray(back.T if side in ("left", "right") else back)
 

@@ -134,3 +134,17 @@ def test_holes_are_left_out_of_a_polygon() -> None:
     mask = np.zeros(ring.shape, dtype=np.uint8)
     cv2.fillPoly(mask, [np.rint(polygon(ring)).astype(np.int32)], 1)
     assert overlap(mask > 0, ring) > 0.97
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("size", [(20, 40), (33, 90), (120, 160), (90, 120, 3)])
+def test_images_without_a_body_are_no_error(size: tuple[int, ...]) -> None:
+    rng = np.random.default_rng(2)
+    noise = [rng.integers(0, 255, size, dtype=np.uint8) for _ in range(3)]
+    plain = [np.full(size, 40 * index, dtype=np.uint8) for index in range(3)]
+    dot = [np.zeros(size, dtype=np.uint8) for _ in range(3)]
+    for index, one in enumerate(dot):
+        one[10:16, 10 + 4 * index : 16 + 4 * index] = 255
+    for images in (noise, plain, dot, noise[:1], [*plain[:2], noise[0]]):
+        found = find_body(images)
+        assert found.outline is None or len(found.outline) > 2
