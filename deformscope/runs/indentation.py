@@ -52,7 +52,7 @@ TOUCHED = 0.1
 """Share of the largest force below which the tip of a recording is between two touches."""
 UNSHOWN = {"name", "verdict", "reasons"}
 """Quantities that a table has elsewhere."""
-CurveArrays = Mapping[str, Any]
+CurveArrays = Mapping[str, FloatArray]
 """`depth_m (n,)`, `force_n (n,)`, and optionally `time_s (n,)`."""
 
 
