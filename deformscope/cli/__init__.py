@@ -62,8 +62,8 @@ COMMANDS: dict[str, Command] = {
     "calibrate viscous": _command(
         "relaxing share, relaxation time and permanent share, from a push and its release", "ViscousConfig", "materials"
     ),
-    "indent": _command("find Young's modulus from force over depth", "IndentConfig", "indent"),
     "predict": _command("predict pokes that were not fitted", "PredictConfig", "predict"),
+    "indent": _command("find Young's modulus from force over depth", "IndentConfig", "indent"),
     "squeeze": _command(
         "squeeze a container: one trial, or the name of its content", "SqueezeConfig", "explore", "squeeze"
     ),
