@@ -86,7 +86,13 @@ class FilmOutcome:
 
 def try_film(made: FilmCase) -> FilmOutcome:
     """Render one video, and fit its files."""
-    video = render(case(made.seed, law=made.law, width_px=made.width_px, height_px=made.height_px))
+    drawn = case(made.seed, law=made.law, width_px=made.width_px, height_px=made.height_px)
+    try:
+        video = render(drawn)
+    except ArithmeticError as error:  # a foam that softens can lose its balance at the tool's corner
+        none = (float("nan"),) * len(QUANTITIES)
+        about = made.seed, drawn.holding, 1.0 / drawn.fps, drawn.log.lag_s
+        return FilmOutcome(*about, none, none, none, none, error=f"not rendered: {error}")
     with tempfile.TemporaryDirectory() as folder:
         encoder = write(video, Path(folder))
         known: dict[str, Any] = {} if made.unaided else flags_of(video)
