@@ -116,10 +116,12 @@ def flow_onward(before: Image, after: Image, last: FlowStep | None = None, at: F
         refine = partial(_refine, passes=PASSES_ONWARD, quick=at is not None)
         fields = _both(lambda: refine(a, b, there), lambda: refine(b, a, back))
         fits = _fits(a, b, fields)
+        change = np.linalg.norm(fields[0].flow_px - there, axis=2)
+        typical = float(np.median(change if at is None or not len(at) else _nearest(change, at)))
         drops: list[FloatArray] = [one - fit for one, fit in zip(was, fits, strict=True)]
         if at is not None:
             drops = [_nearest(drop, at) for drop in drops]
-        if all(float(drop.max(initial=0.0)) < FIT_DROP for drop in drops):
+        if typical < CHANGE_PX and all(float(drop.max(initial=0.0)) < FIT_DROP for drop in drops):
             return FlowStep(*fields, fits, steady=True)
     fields = flow_both_ways(before, after, at)
     return FlowStep(*fields, _fits(a, b, fields))
@@ -291,6 +293,10 @@ particle's error (docs/results/fits.md)."""
 
 FITS = 0.9
 """Correlation in a window of 8 px of images that surely show the same."""
+
+CHANGE_PX = 1.0
+"""Change of the flow between two steps of a sequence [px], in the median, that its refinement surely follows: a pass
+corrects by 1 px at most, and a smooth texture correlates well a pixel beside its place."""
 
 FIT_DROP = 0.25
 """Fall of the correlation in a window of 8 px, between two steps of a sequence, that noise does not explain. In steady

@@ -294,3 +294,17 @@ def test_a_jump_and_a_change_of_light_give_what_a_pair_gives(whole: list[str]) -
     again = flow_both_ways(images[-2], images[-1])
     np.testing.assert_array_equal(last.forward.flow_px, again[0].flow_px)
     np.testing.assert_array_equal(last.backward.flow_px, again[1].flow_px)
+
+
+def test_a_camera_that_shakes_adds_no_drift() -> None:
+    """Smooth texture correlates well 2 px beside its place: that is not the place."""
+    shaken = [(0.0, 0.0), (0.8, -1.1), (-0.9, -0.4), (-4.0, -0.5), (-1.7, 4.6)]
+    y, x = np.mgrid[:SIDE, :SIDE].astype(float)
+    rng = np.random.default_rng(11)
+    images = [eight_bit(texture(x - dx, y - dy, 0, 20.0, 120.0) + rng.normal(0, 2.0, x.shape)) for dx, dy in shaken]
+    at = np.stack(np.meshgrid(np.arange(60.0, 180.0, 20.0), np.arange(60.0, 180.0, 20.0)), axis=-1).reshape(-1, 2)
+    last: FlowStep | None = None
+    for (before, after), (was, now) in zip(pairwise(images), pairwise(shaken), strict=True):
+        last = flow_onward(before, after, last, at)
+        error = last.forward.flow_px[60:-60, 60:-60] - np.subtract(now, was)
+        assert np.abs(np.median(error, axis=(0, 1))).max() < 0.1
