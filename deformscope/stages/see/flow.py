@@ -296,7 +296,7 @@ FITS = 0.9
 
 CHANGE_PX = 1.0
 """Change of the flow between two steps of a sequence [px], in the median, that its refinement surely follows: a pass
-corrects by 1 px at most, and a smooth texture correlates well a pixel beside its place."""
+corrects by 1 px at most, and a smooth texture correlates well a pixel off its place."""
 
 FIT_DROP = 0.25
 """Fall of the correlation in a window of 8 px, between two steps of a sequence, that noise does not explain. In steady
