@@ -165,7 +165,7 @@ def subject_of(config: BetaConfig | ThetaConfig, note: Callable[[str], None]) ->
         return PairSubject(config)
     images = images_of(config)
     found, doubts = images, Doubts()
-    if not config.sources[0].startswith(SAMPLE_SCHEME):
+    if (images.roi is None and images.mask is None) or not config.sources[0].startswith(SAMPLE_SCHEME):
         with opened_images(config.sources, images) as source:
             if config.push.force_frame is not None:
                 source.end_at(config.push.force_frame)

@@ -61,7 +61,7 @@ def calibrate_images(
     def opened() -> Source:
         return _given_images(given, images) if given else opened_images(sources, images, timed=timed)
 
-    if images.roi is images.mask is None or not any(one.startswith(SAMPLE_SCHEME) for one in sources):
+    if (images.roi is None and images.mask is None) or not any(one.startswith(SAMPLE_SCHEME) for one in sources):
         with opened() as source:
             if config.push.force_frame is not None:
                 source.end_at(config.push.force_frame)
