@@ -121,18 +121,32 @@ def _implausible(seen: Observation, modulus_pa: float, thickness_m: float) -> It
 
 
 def _ratio_posterior(seen: Observation, judged: BoolArray, left: FloatArray) -> Posterior:
-    """Of Poisson's ratio, even before the data. left: (n, k, 2) errors of the judged particles at `RATIOS`; errors of
-    flow are shared within its window, so that only so many particles count"""
+    """Of Poisson's ratio, even before the data. left: (n, k, 2) errors of the judged particles at `RATIOS`; smooth ones
+    (flow's within its window, a picture's perspective) are shared, so that only so many particles count"""
     count = int(judged.sum())
     step = lattice_step(seen)
-    apart = float(np.prod(np.minimum(step / FLOW_WINDOW_PX, 1.0))) if seen.unit == "px" else 1.0
     noise = 0.0 if seen.noise is None else float(np.mean(seen.noise[judged] ** 2))
     grid = np.linspace(RATIOS[0], RATIOS[-1], 491)
-    squares = np.sum(CubicSpline(RATIOS, left)(grid) ** 2, axis=(1, 2))
+    errors = CubicSpline(RATIOS, left)(grid)
+    squares = np.sum(errors**2, axis=(1, 2))
+    apart = _independent(seen.rest[judged], errors[squares.argmin()], step)
+    apart = min(apart, float(np.prod(np.minimum(step / FLOW_WINDOW_PX, 1.0)))) if seen.unit == "px" else apart
     variance = max(noise, float(squares.min()) / (2 * count), 1e-12 * float(step @ step))
     log_density = -0.5 * apart * squares / variance
     density = np.exp(log_density - log_density.max())
     return Posterior(grid, density / np.trapezoid(density, grid))
+
+
+def _independent(at: FloatArray, errors: FloatArray, step: FloatArray) -> float:
+    """Share of errors (k, 2) at places (k, 2) that count as independent, by the correlation of neighbours: that of an
+    exponential decay, whose integral over the plane is 2 pi times its length squared."""
+    apart = cdist(at / step, at / step)
+    first, second = np.nonzero(np.triu(apart < 1.1, 1))
+    power = float(np.mean(np.sum(errors**2, axis=1)))
+    if not len(first) or power <= 0.0:
+        return 1.0
+    alike = float(np.mean(np.sum(errors[first] * errors[second], axis=1))) / power
+    return float(min(np.log(1.0 / np.clip(alike, 1e-6, 0.999)) ** 2 / (2.0 * np.pi), 1.0))
 
 
 class _Body:
