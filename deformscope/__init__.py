@@ -10,8 +10,6 @@ Every function raises `deformscope.InputError` for unusable input. Every result 
 JSON of the command line), and shows its pictures in a notebook. Nothing heavy is loaded before it is used.
 """
 
-from __future__ import annotations
-
 import importlib
 from typing import TYPE_CHECKING
 

@@ -1,7 +1,5 @@
 """`python -m deformscope`: the same as the `deformscope` command."""
 
-from __future__ import annotations
-
 import sys
 
 from deformscope.cli import main

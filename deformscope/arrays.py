@@ -1,7 +1,5 @@
 """Array types that the whole project shares. Each docstring has shapes and units."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

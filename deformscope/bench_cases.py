@@ -1,7 +1,5 @@
 """The parts of `deformscope bench`: its flags read them without numpy, it runs them without tyro."""
 
-from __future__ import annotations
-
 from typing import Literal, get_args
 
 Case = Literal["step", "call", "memory", "relax", "sweep", "gradient", "fit", "cold"]

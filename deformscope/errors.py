@@ -1,7 +1,5 @@
 """The error whose message a user reads."""
 
-from __future__ import annotations
-
 import logging
 import re
 
@@ -39,7 +37,7 @@ class InputError(Exception):
         super().__init__(printable(" | ".join(parts)))
 
     @classmethod
-    def about(cls, error: Exception, where: object) -> InputError:
+    def about(cls, error: Exception, where: object) -> "InputError":
         """The error with the file concerned."""
         made = cls.__new__(cls)
         Exception.__init__(made, printable(f"{error} | {where}" if str(where) else str(error)))

@@ -1,7 +1,5 @@
 """Files that a user named: they are read whole, and replaced only by complete files."""
 
-from __future__ import annotations
-
 import difflib
 import hashlib
 import os

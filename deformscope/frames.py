@@ -3,8 +3,6 @@
 Every frame has its time (`stamp`), its device (`device`, its name in the rig) and its index in that device's stream
 (`index`, from 0; a missing index was lost)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal

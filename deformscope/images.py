@@ -1,7 +1,5 @@
 """Image files: read without loss or noise on the standard error, and written as PNG."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import mmap

@@ -2,8 +2,6 @@
 
 Each raises `InputError` for what cannot be used, which names parameters as Python spells them."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
@@ -47,8 +45,8 @@ if TYPE_CHECKING:
 
 
 def calibrate_beta(
-    source: CalibrationSource | Sequence[PairArrays], *, progress: Progress | bool | None = None, **options: object
-) -> CalibrationResult:
+    source: "CalibrationSource | Sequence[PairArrays]", *, progress: Progress | bool | None = None, **options: object
+) -> "CalibrationResult":
     """Find beta, the share of linear deformation, with its interval and a verdict (Thesis eq. 3.13).
 
     source: see `CalibrationSource`; several pairs are fitted to one value, with thickness_m as pokes of one surface
@@ -63,8 +61,8 @@ def calibrate_beta(
 
 
 def calibrate_theta(
-    source: CalibrationSource | Sequence[PairArrays], *, progress: Progress | bool | None = None, **options: object
-) -> CalibrationResult:
+    source: "CalibrationSource | Sequence[PairArrays]", *, progress: Progress | bool | None = None, **options: object
+) -> "CalibrationResult":
     """Find theta, how strongly volume is conserved, with its interval and a verdict (Thesis eq. 3.17).
 
     source: see `CalibrationSource`; several pairs are fitted to one value; progress: see `calibrate_beta`
@@ -76,8 +74,8 @@ def calibrate_theta(
 
 
 def _calibrate(
-    kind: type[BetaConfig | ThetaConfig], source: Any, given: dict[str, Any], progress: Progress | bool | None
-) -> CalibrationResult:
+    kind: "type[BetaConfig | ThetaConfig]", source: Any, given: dict[str, Any], progress: Progress | bool | None
+) -> "CalibrationResult":
     from deformscope.file_io import ending_of
     from deformscope.runs.calibration import calibrate
 
@@ -101,7 +99,7 @@ def calibrate_both(
     joint: bool = False,
     progress: Progress | bool | None = None,
     **options: object,
-) -> JointResult | list[JointResult]:
+) -> "JointResult | list[JointResult]":
     """Find beta and theta of pairs together, with their joint posterior: one result for each pair.
 
     sources: pair files, `sample:pair`; joint: fit one beta and one theta to all pairs
@@ -118,7 +116,7 @@ def calibrate_both(
 
 def calibrate_axes(
     sources: str | Path | Sequence[str | Path], *, progress: Progress | bool | None = None, **options: object
-) -> MaterialResult:
+) -> "MaterialResult":
     """Find a beta along each axis of a material, from images, a recording, or pair files in one fit.
 
     progress: see `calibrate_beta`; options: the flags of `deformscope calibrate axes`: turn_deg, frame, cluster_size...
@@ -130,7 +128,7 @@ def calibrate_axes(
 
 def calibrate_field(
     sources: str | Path | Sequence[str | Path], *, progress: Progress | bool | None = None, **options: object
-) -> MaterialResult:
+) -> "MaterialResult":
     """Find the stiffness of each place of a body relative to the others, from images, a recording, or one pair file.
 
     progress: see `calibrate_beta`; options: the flags of `deformscope calibrate field`: frame, force_n...
@@ -142,7 +140,7 @@ def calibrate_field(
 
 def calibrate_yield(
     sources: str | Path | Sequence[str | Path], *, progress: Progress | bool | None = None, **options: object
-) -> MaterialResult:
+) -> "MaterialResult":
     """Find the strain at which a body yields, from images, a recording, or a motion file (`sample:press`).
 
     progress: see `calibrate_beta`; options: the flags of `deformscope calibrate yield`: beta, creep, at, force...
@@ -154,7 +152,7 @@ def calibrate_yield(
 
 def calibrate_viscous(
     sources: str | Path | Sequence[str | Path], *, progress: Progress | bool | None = None, **options: object
-) -> MaterialResult:
+) -> "MaterialResult":
     """Find the share of a modulus that relaxes, the relaxation time, and the permanent share, from images, a recording,
     or a motion file.
 
@@ -166,11 +164,11 @@ def calibrate_viscous(
 
 
 def _calibrate_material(
-    kind: type[AxesConfig | FieldConfig | YieldConfig | ViscousConfig],
+    kind: "type[AxesConfig | FieldConfig | YieldConfig | ViscousConfig]",
     sources: str | Path | Sequence[str | Path],
     options: dict[str, Any],
     progress: Progress | bool | None,
-) -> MaterialResult:
+) -> "MaterialResult":
     from deformscope.runs.materials import calibrate_material
 
     with _python_names(), shown_progress(progress) as note:
@@ -183,16 +181,16 @@ def _names(sources: str | Path | Sequence[str | Path]) -> list[str]:
 
 
 def predict(
-    model: ModelSource,
+    model: "ModelSource",
     *,
     at: Sequence[float] | str,
     depth_m: float | None = None,
     force_n: float | None = None,
-    tip: TipName | None = None,
+    tip: "TipName | None" = None,
     size_m: Sequence[float] | str = (),
-    points_m: FloatArray | None = None,
+    points_m: "FloatArray | None" = None,
     device: Literal["auto", "cpu", "cuda"] = "auto",
-) -> PredictionResult:
+) -> "PredictionResult":
     """Predict a poke that was not fitted: deformed particles, depth and force with its interval.
 
     model: a file that `calibrate ... --save` wrote, a calibration of a pair or of pokes, or its `model()`
@@ -218,8 +216,8 @@ def _floats(name: str, given: Sequence[float] | str, between: str) -> tuple[floa
 
 
 def indent(
-    sources: str | Path | CurveArrays | Sequence[str | Path] | Sequence[CurveArrays], *, tip: str, **options: object
-) -> IndentResult:
+    sources: "str | Path | CurveArrays | Sequence[str | Path] | Sequence[CurveArrays]", *, tip: str, **options: object
+) -> "IndentResult":
     """Find Young's modulus from force over depth of a rigid tip alone; several sources are places of one sample.
 
     sources: tables, recordings, or curves as arrays {"depth_m": (n,), "force_n": (n,), "time_s": (n,)}
@@ -238,12 +236,12 @@ def indent(
 
 
 def explore(
-    rig: str | Path | OwnScene,
+    rig: "str | Path | OwnScene",
     *,
-    planner: Planner | TouchPlanner = "regions",
+    planner: "Planner | TouchPlanner" = "regions",
     progress: Say | bool | None = None,
     **options: object,
-) -> ExplorationResult:
+) -> "ExplorationResult":
     """Map the stiffness of a surface: look, touch the most informative place, update the map, repeat.
 
     rig: a rig file (.toml), a simulated scene (`lab:NAME`), or an own scene; planner: a planner's name, or an own
@@ -268,7 +266,7 @@ def explore(
     return explored
 
 
-def squeeze(rig: str | Path, *, progress: Say | bool | None = None, **options: object) -> SqueezeResult:
+def squeeze(rig: str | Path, *, progress: Say | bool | None = None, **options: object) -> "SqueezeResult":
     """Squeeze a container once, and compute its features; with `model`, classify its content.
 
     rig: a rig file (.toml), or `lab:containers`; progress: as in `explore`
@@ -296,7 +294,7 @@ def record(
     seconds: float,
     progress: Say | bool | None = None,
     **options: object,
-) -> RecordResult:
+) -> "RecordResult":
     """Record all devices of a rig for some seconds, with every byte of their wires and all losses.
 
     rig: a rig file (.toml) or `lab:NAME`; file: an `.rrd`, default `runs/NAME-<stamp>.rrd`
@@ -317,7 +315,7 @@ def replay(
     settings: Mapping[str, object] | Sequence[str] | str | None = None,
     progress: Progress | bool | None = None,
     **options: object,
-) -> ReplayResult:
+) -> "ReplayResult":
     """Compute a recording again from its inputs, and compare with the recorded numbers.
 
     settings: settings of an exploration that replace the recorded ones, by name, or as KEY=VALUE; their results are not
@@ -349,7 +347,7 @@ def sweep(
     limit_s: float | None = None,
     progress: Progress | bool | None = None,
     **options: object,
-) -> SweepResult:
+) -> "SweepResult":
     """Call a function with each file as its first argument, in many processes, and store each result when it is done;
     the same call again continues an interrupted one.
 
@@ -373,13 +371,13 @@ def sweep(
 
 
 def classify(
-    table: TableSource,
+    table: "TableSource",
     *,
     merge: Mapping[str, Sequence[str]] | Sequence[str] | str | None = None,
     transfer: Sequence[tuple[str, str] | str] | str = (),
     progress: Progress | bool | None = None,
     **options: object,
-) -> ClassificationResult:
+) -> "ClassificationResult":
     """Evaluate how well the content is classified from each modality, and from all of them fused.
 
     table: a file, or `label (N,)`, optional `group (N,)` and (N, ...) features by modality
@@ -404,7 +402,7 @@ def classify(
             return classify_table(found, name, options_of(config, pairs), note)
 
 
-def load_classifier(path: Path | str) -> ContentModel:
+def load_classifier(path: Path | str) -> "ContentModel":
     """A classifier that `deformscope classify --save` or `ClassificationResult.save` has written: its `labels`, and
     `predict_proba({modality: (n, p) features})`. Raises InputError for any other file."""
     from deformscope.files import classifier_file
@@ -412,7 +410,7 @@ def load_classifier(path: Path | str) -> ContentModel:
     return classifier_file.load_classifier(Path(path))
 
 
-def verify(path: Path | str, *, stages: bool = False, privacy: bool = False) -> VerifyResult:
+def verify(path: Path | str, *, stages: bool = False, privacy: bool = False) -> "VerifyResult":
     """Check whether a recording is whole: `ok`, and `error` with the reason if it is not.
 
     stages: list its stages of computation; privacy: list information on people and machines. Raises InputError for a
@@ -422,7 +420,7 @@ def verify(path: Path | str, *, stages: bool = False, privacy: bool = False) -> 
     return verify_recording(Path(path), stages=stages, privacy=privacy)
 
 
-def recover(path: Path | str, out: Path | str | None = None) -> FoundResult:
+def recover(path: Path | str, out: Path | str | None = None) -> "FoundResult":
     """Make a complete recording from one that was cut short; `found["recovered"]` is its path. out: a new file, default
     NAME.recovered.rrd next to it. Raises InputError if nothing can be read."""
     from deformscope.runs.recovery import recover_recording
@@ -431,8 +429,8 @@ def recover(path: Path | str, out: Path | str | None = None) -> FoundResult:
 
 
 def export(
-    path: Path | str, out: Path | str, *, to: ExportFormat, progress: Progress | bool | None = None, **options: object
-) -> ExportResult:
+    path: Path | str, out: Path | str, *, to: "ExportFormat", progress: Progress | bool | None = None, **options: object
+) -> "ExportResult":
     """Write a recording in another format; `found["files"]` lists what was written.
 
     out: a new folder; to: csv, parquet, npz, mcap, video or images; progress: as in `calibrate_beta`
@@ -448,7 +446,7 @@ def export(
 
 def import_recording(
     source: Path | str, *, map: Path | str, record: Path | str, overwrite: bool = False, **options: object
-) -> RecordResult:
+) -> "RecordResult":
     """Make a recording from a bag, a table, or a folder of them.
 
     map: a TOML file that assigns topics and columns to devices; `deformscope import --inspect` proposes one; record: a
@@ -462,7 +460,7 @@ def import_recording(
         return import_source(ImportConfig.of(source=source, **given | options))
 
 
-def report(path: Path | str) -> RecordingReport:
+def report(path: Path | str) -> "RecordingReport":
     """The figures of a recording, from its content alone: `figures()`, `lacks`, and `page()` as HTML.
     Raises InputError where it is none."""
     from deformscope.runs.recording_report import report_recording
@@ -477,7 +475,7 @@ def catalog(
     sort: str = "",
     columns: Sequence[str] | str = (),
     progress: Progress | bool | None = None,
-) -> CatalogResult:
+) -> "CatalogResult":
     """The recordings of a folder, as `table` (Arrow): settings, results with intervals, losses.
 
     where: a condition, such as 'beta < 0.5 and verdict == "identified"'; sort: a column, -column for descending
@@ -489,7 +487,7 @@ def catalog(
         return catalogue(Path(folder), where, sort, [one for one in shown if one], progress=note)
 
 
-def compare_recordings(first: Path | str, second: Path | str) -> ComparedRecordings:
+def compare_recordings(first: Path | str, second: Path | str) -> "ComparedRecordings":
     """How two recordings differ: settings, results, and readings of devices aligned by contact.
     Raises InputError if a file is no recording."""
     from deformscope.runs import catalog as catalogs
@@ -505,7 +503,7 @@ def discard(path: Path | str, reason: str, *, episode: int = 0) -> None:
     OpenRecording(Path(path)).discard(reason, episode)
 
 
-def open_recording(path: Path | str) -> OpenRecording:
+def open_recording(path: Path | str) -> "OpenRecording":
     """Open a recording of deformscope. Raises InputError if it is no recording, or was changed after it was
     recorded."""
     from deformscope.runs.recordings import OpenRecording
@@ -513,7 +511,7 @@ def open_recording(path: Path | str) -> OpenRecording:
     return OpenRecording(Path(path))
 
 
-def open_dataset(folder: Path | str) -> OpenDataset:
+def open_dataset(folder: Path | str) -> "OpenDataset":
     """Open a data set that `deformscope squeeze --dataset` has made. Raises InputError where it is none."""
     from deformscope.runs.recordings import OpenDataset
 

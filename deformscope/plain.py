@@ -1,7 +1,5 @@
 """Values of JSON's types, for results that are written and for results that are recorded."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Any, TypeAlias, cast

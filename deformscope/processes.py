@@ -1,7 +1,5 @@
 """Child processes that compute or simulate."""
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import multiprocessing

@@ -6,8 +6,6 @@ flat. An array's shape is `FIELD_shape` unless it is (n,). None is not written; 
 least one value. Other values, such as mappings, are JSON. An image is encoded by its twin in `deformscope.log`;
 `IMAGES` has its place."""
 
-from __future__ import annotations
-
 import dataclasses
 import enum
 import json

@@ -5,8 +5,6 @@ the last time), None once a source has ended, and an `Answer` to each of its com
 a command where it acts. Neither a robot's motion nor a computation blocks the loop: frames are recorded and sent to the
 experiment until the answer is ready."""
 
-from __future__ import annotations
-
 import concurrent.futures
 import dataclasses
 import time

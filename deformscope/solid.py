@@ -1,8 +1,6 @@
 """The shape of a link, a gripper or a mount as triangles, to find which points of a camera show the robot and not the
 surface."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -61,7 +59,7 @@ class Solid:
     def __reduce__(self) -> tuple[Any, ...]:
         return Solid, (self.vertices_m, self.triangles)
 
-    def moved(self, T: FloatArray) -> Solid:
+    def moved(self, T: FloatArray) -> "Solid":
         """The solid in another frame, T (4, 4)."""
         return Solid(self.vertices_m @ T[:3, :3].T + T[:3, 3], self.triangles)
 

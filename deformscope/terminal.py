@@ -1,7 +1,5 @@
 """Messages to a person at a terminal during a run: all of them on stderr."""
 
-from __future__ import annotations
-
 import contextlib
 import signal
 import sys

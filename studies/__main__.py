@@ -1,8 +1,6 @@
 """`python -m studies NAME [flags]`: finds the study in this folder and runs it; `reproduce cubes` is a name of two
 words."""
 
-from __future__ import annotations
-
 import ast
 import difflib
 import importlib

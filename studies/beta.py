@@ -11,8 +11,6 @@ Bodies, sizes of noise and truths are those of `studies.random_bodies`; a third 
 lens is wrong, and noise by its roughness.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, get_args

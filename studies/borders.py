@@ -7,8 +7,6 @@ Both touch the same scenes of the clean laboratory in closed form, each by its o
 of the true family alone; all else is unknown to it too. No estimator can be expected to do better with as many touches.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated

@@ -8,8 +8,6 @@ classifier is trained on the squeezes of the first seeds, one on each third of t
 others, whose cartons and rooms were not in its training.
 """
 
-from __future__ import annotations
-
 import math
 import tempfile
 from collections.abc import Sequence

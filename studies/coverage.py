@@ -4,8 +4,6 @@ python -m studies coverage --quick
 python -m studies coverage --objects 1000 --jobs 2 --out runs/coverage --json coverage.json
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -15,8 +15,6 @@ once its lateral force reaches a share of the sticking one.
 In addition: foams of laws that the fit has and of laws that it does not have, by another generator (`creep_laws`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, get_args

@@ -2,8 +2,6 @@
 
 The touches share no code with the fit (`studies.independent.viscoelastic`)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

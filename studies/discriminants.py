@@ -6,8 +6,6 @@ python -m studies discriminants --trials 60 --json discriminants.json
 scikit-learn's take a share of the unit matrix, chosen among the same values by cross-validation over groups.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache

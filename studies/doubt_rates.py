@@ -6,8 +6,6 @@ beta, are those of `studies.unseen_pokes` with a uniform modulus. Bodies of "oth
 `studies.independent`. They are clusters, and plane stress or strain of one material whose whole faces are stretched,
 pressed or sheared by 2 to 10 %."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass

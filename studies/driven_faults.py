@@ -2,8 +2,6 @@
 
 `fault_study` injects faults of devices in the midst of a touch; here the commands of the arm are themselves wrong."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

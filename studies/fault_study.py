@@ -2,8 +2,6 @@
 
 Each run has its own foam, tip, tilt, moment and fault, all drawn from its seed, and goes through the real drivers."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 from collections.abc import Sequence
@@ -78,7 +76,7 @@ class ArmCycle:
     waiting: int
 
     @classmethod
-    def of(cls, lab: TouchLab) -> ArmCycle:
+    def of(cls, lab: TouchLab) -> "ArmCycle":
         """Now."""
         double = lab.arm_double
         return cls(lab.clock(), double.joints_deg, double.rates_deg_s, double.fifo_count)

@@ -9,8 +9,6 @@ plates that share nothing with the estimator (`independent.orthotropic_elements`
 not, seen by an exact or a wrong camera, and some differ from place to place.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Annotated

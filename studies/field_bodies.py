@@ -1,8 +1,6 @@
 """Plates and slabs whose stiffness differs from place to place, by the laboratory's finite elements: pairs of
 what is seen of them, for `calibrate field`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Literal
 

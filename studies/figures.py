@@ -5,8 +5,6 @@
 Motions are in the recording of `python -m studies reproduce shapes`; these are its pictures, lengths in centimetres.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass

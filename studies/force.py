@@ -14,8 +14,6 @@ Both have a scatter of the force from poke to poke that the model is not given; 
 all kinds.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -2,8 +2,6 @@
 
 It resembles `studies.touching`: no wires, no control loop."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -6,8 +6,6 @@ The trials are of a generator that shares no code with the program (`studies/ind
 is that of the classifier that `classify --save` writes, on 800 trials of 160 new containers.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

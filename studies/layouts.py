@@ -4,8 +4,6 @@ down before singularities.
 Each seed draws an arm, the table's pose relative to it, and a stick; then some touches, as `explore` makes them: a
 table of checks, paths to above each place, the touch."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

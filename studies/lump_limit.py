@@ -7,8 +7,6 @@ spread evenly and 10 around the inclusion, each where it adds most. It then need
 probable with the lump as without one or with one elsewhere. No detector that has to search finds more.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import ndtr

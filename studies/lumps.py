@@ -9,8 +9,6 @@ lump, and calibration of the miss probability.
 Touches are pressed into finite elements and estimated as the robot's are, without wires (`surface_robot`).
 """
 
-from __future__ import annotations
-
 import itertools
 import time
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """Quality of a map of regions with a known truth: one score for every study."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -14,8 +14,6 @@ integrated here, while the fit uses their creep) and which may have a permanent 
 slow: as viscous, with a branch that outlasts the record
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What studies write: tables of rows, CSV, and figures as PNG."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager

@@ -3,8 +3,6 @@
 python -m studies placing --arm jaco --trials 60 --disturbed 50 --json placing.json
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field

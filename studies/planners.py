@@ -3,8 +3,6 @@
 Both look at the variance of a field of log stiffness, which depends on where was touched and never on what was found
 there. `python -m studies reproduce table41 --planners regions,max-variance,random-above` compares their maps."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 

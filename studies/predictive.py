@@ -4,8 +4,6 @@ Uncertain are the parameter (its posterior), the model (the misfit of the fit, s
 and the noise of the prescribed positions through its effect on the simulation. For particles that will be measured as
 those of the fit, the noise of that measurement is added."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

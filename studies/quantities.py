@@ -1,7 +1,5 @@
 """Statistics of many outcomes: quantities, each declared once for the table and the JSON."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
@@ -33,7 +31,7 @@ class Rate:
         object.__setattr__(self, "band", wilson(rate, self.cases, 0.95))
 
     @classmethod
-    def of(cls, happened: Iterable[object]) -> Rate:
+    def of(cls, happened: Iterable[object]) -> "Rate":
         """Rate of cases, by whether each did so."""
         hits = [bool(one) for one in happened]
         return cls(len(hits), sum(hits))
@@ -129,7 +127,7 @@ class KnownEstimate:
         verdict: str,
         truth: Sequence[float],
         estimates: Iterable[tuple[float, tuple[float, float | None]]],
-    ) -> KnownEstimate:
+    ) -> "KnownEstimate":
         """estimates: each quantity's value and interval, without an upper end where the data leave it open"""
         value, interval = zip(*estimates, strict=True)
         high = (np.inf if ends[1] is None else ends[1] for ends in interval)

@@ -5,8 +5,6 @@ A body is a lattice in the plane or in space whose first layer is fixed while a 
 truth is the engine's static state for a random beta, in float64; what is "measured" has noise on top. The ranks of the
 truths in their posteriors are even if these are right (simulation-based calibration, Talts et al. 2018)."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass

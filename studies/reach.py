@@ -1,7 +1,5 @@
 """Places that an arm reaches, each sought for itself: what a route through them is held to."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -11,8 +11,6 @@ that hundreds of explorations take minutes. Posterior, planner and stop rule are
 the estimator's own prior (simulation-based calibration, Talts et al. 2018), and from scenes and errors that violate it.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import zlib
 from collections.abc import Callable, Sequence

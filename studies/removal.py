@@ -9,8 +9,6 @@ A laboratory's robot with gripper, stick and cable (`lab.robot_body`) is seen be
 The estimator has its rig file's description, and the camera's pose with an error.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -10,8 +10,6 @@ the finite elements' own functions. The texture there, a spline without details 
 World axes: x to the right from the block's middle, y up from its bottom [m]. Image axes: x to the right, y down, whole
 numbers are pixels' middles [px]. The scene is flat: block, tool, hand, wall and table are at one distance."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib
 import importlib.util

@@ -1,7 +1,5 @@
 """A rigid surface under an arm whose force sensor is wrong: refused before contact, or how hard it was pressed."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass

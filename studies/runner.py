@@ -6,8 +6,6 @@ def trials(options: CreepOptions) -> list[Trials]:
 STUDY = Study(CreepOptions, trials, report)      # report(options, seconds, outcomes) -> StudyReport
 """
 
-from __future__ import annotations
-
 import functools
 import json
 import time

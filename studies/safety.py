@@ -5,8 +5,6 @@ python -m studies safety --faults 100 --layouts 0 --rigid 0
 python -m studies safety --arm kuka --faults 500 --layouts 0
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass

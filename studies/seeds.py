@@ -3,8 +3,6 @@
 Committed before any constant was chosen on the former. A constant that is chosen on simulated scenes names this module
 in its docstring."""
 
-from __future__ import annotations
-
 from deformscope.errors import InputError
 
 REPORTED = range(1000)

@@ -2,8 +2,6 @@
 
 On the host's clock, through the arm's own process and UDP; each run draws cycle, lag, acceleration and moment."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

@@ -6,8 +6,6 @@ python -m studies speed --peers --sizes 216,512,1331,50653 --json speed.json
 Contestants take turns on one core, as in `deformscope bench`.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass

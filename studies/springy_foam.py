@@ -1,7 +1,5 @@
 """A plane of foam in closed form: what motion and safety are tried on where no finite elements are needed."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

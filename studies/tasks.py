@@ -3,8 +3,6 @@
 python -m studies tasks --tasks 100000
 """
 
-from __future__ import annotations
-
 import json
 import os
 import resource

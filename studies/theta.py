@@ -9,8 +9,6 @@ Each cube is pressed twice, to two depths, on two lattices or both. Counted is h
 the value of the other, by verdict.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import Literal, get_args

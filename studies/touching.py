@@ -3,8 +3,6 @@
 Touches without wires or a control loop: the foam's force over depth is computed once, and read at the arm's place at
 each sample."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

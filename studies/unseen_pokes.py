@@ -5,8 +5,6 @@ Bodies: a sheet in plane stress (a thin box, one of whose faces is a plane of sy
 Poisson's ratio and a Young's modulus that varies by up to a factor of 7; a patch of the far side is pushed, pulled or
 sheared."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

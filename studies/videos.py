@@ -8,8 +8,6 @@ perspective, shadow, noise, H.264 at 4 Mbit/s where PyAV is installed) and writt
 clock, rate and unit are its own. Then the library fits the files as a user's script does: once with region, held parts
 and contact stated, and once without them."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A URDF of simple shapes for a chain of joints: `python tools/arm_shapes.py kr6r900sixx > FILE`."""
 
-from __future__ import annotations
-
 import math
 import sys
 

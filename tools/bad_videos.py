@@ -3,8 +3,6 @@
 python tools/bad_videos.py [--fit]
 """
 
-from __future__ import annotations
-
 import dataclasses
 import sys
 import tempfile

@@ -4,8 +4,6 @@ Opens each recording of `recordings/` in a dark and in a light headless viewer (
 every view, a film of the window over the session, and the figures of `deformscope report`, all shown by `index.html`.
 """
 
-from __future__ import annotations
-
 import argparse
 import html
 import sys
@@ -67,7 +65,7 @@ def main() -> int:
     return 1 if complaints else 0
 
 
-def film(viewer: ViewerClient, recording: Path, path: Path, size: tuple[int, int] = FILM_PX) -> None:
+def film(viewer: "ViewerClient", recording: Path, path: Path, size: tuple[int, int] = FILM_PX) -> None:
     """The window at even moments of the session, as an animated WebP."""
     end_s = ds.verify(recording).found["until_s"]
     pictures = []

@@ -10,8 +10,6 @@ are masked by name (`MASKED_KEYS`, `MASKED_ROWS`, `MASKED_COLUMNS`). Exits with 
 --keep FOLDER: where outputs are left; those of a commit that are there already are not made again
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import difflib

@@ -3,8 +3,6 @@
 Prints it, or puts it into docs/developers/architecture.md, which `tests/test_structure.py` holds to what this prints.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 import textwrap

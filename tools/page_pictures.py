@@ -11,8 +11,6 @@ Another command, size, colours, moment: python tools/page_pictures.py --out tabl
     --after 40 -- live lab:bench
 """
 
-from __future__ import annotations
-
 import argparse
 import base64
 import contextlib

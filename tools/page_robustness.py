@@ -20,8 +20,6 @@ A headless browser knows no hidden tab: it is made of what a page has of it, whi
 to draw. Needs playwright and chromium (CHROMIUM=path).
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import json

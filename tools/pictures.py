@@ -5,8 +5,6 @@ the recordings that ship (tools/gallery.py), and photographs the pages (tools/pa
 Chromium. On a machine with other work the page of the rig has lost frames: it is then taken again, three times at most.
 """
 
-from __future__ import annotations
-
 import argparse
 import subprocess
 import sys

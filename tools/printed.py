@@ -6,8 +6,6 @@ A console block is fenced as ```console. `$ COMMAND` is typed in an empty folder
 `...` stands for lines that are left out. Where lines are left out, each line shown is found by the name of its row.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import re

@@ -8,8 +8,6 @@ shown with the outputs that they hold. Files outside `docs/` that pages link (`.
 copied into the site.
 """
 
-from __future__ import annotations
-
 import base64
 import contextlib
 import dataclasses
@@ -38,7 +36,7 @@ ABOUT = re.compile(r"^( *```\w+) ([\w.-]+)$", re.MULTILINE)
 FIELD_NAMES = re.compile(r"(?:^|; )((?:\w+,\s)*\w+):\s", re.MULTILINE)
 
 
-def on_config(config: MkDocsConfig) -> MkDocsConfig:
+def on_config(config: "MkDocsConfig") -> "MkDocsConfig":
     """Have the notebooks below the tutorials."""
     shown = [{_title_of(path): f"notebooks/{path.stem}.md"} for path in notebooks()]
     for section in config.nav or () if shown else ():
@@ -47,7 +45,7 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
     return config
 
 
-def on_files(files: Files, config: MkDocsConfig) -> Files:
+def on_files(files: "Files", config: "MkDocsConfig") -> "Files":
     """Add the pages that are made here, and the files outside `docs/` that pages link."""
     from mkdocs.structure.files import File
 
@@ -65,7 +63,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     return files
 
 
-def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+def on_page_markdown(markdown: str, page: "Page", config: "MkDocsConfig", files: "Files") -> str:
     """Let links to files outside `docs/` lead to their copies, and blocks of code have their file's name as title."""
     above = "../" * page.file.src_uri.count("/")
     titled = ABOUT.sub(lambda one: one[1] if one[2] == "skip" else f'{one[1]} title="{one[2]}"', markdown)

@@ -5,8 +5,6 @@ python tools/robot_meshes.py
 Joints are those of drivers/deformscope_drivers/jaco/j2n6s300.urdf; the shapes are our own: tubes along curves.
 """
 
-from __future__ import annotations
-
 import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path

@@ -6,8 +6,6 @@ Runs the commands of `SAMPLES` in the laboratory, leaves out frames that no resu
 and manifest. A replay of what is left gives the same numbers; that is tried before a sample takes its place.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import json

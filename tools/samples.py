@@ -4,8 +4,6 @@
 python tools/samples.py [NAME...]
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import io

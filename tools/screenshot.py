@@ -5,8 +5,6 @@ whole window and every view as PNG, and prints what the viewer complained about.
 install mesa-vulkan-drivers
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import json
@@ -62,7 +60,7 @@ def main() -> int:
 
 
 @contextlib.contextmanager
-def headless_viewer(size: str = "1920x1080", theme: Theme = "dark") -> Iterator[ViewerClient]:
+def headless_viewer(size: str = "1920x1080", theme: Theme = "dark") -> "Iterator[ViewerClient]":
     """A viewer without a window, on loopback alone; ended at exit. Raises ConnectionError where it cannot start, or has
     no light theme."""
     from rerun.experimental import ViewerClient
@@ -89,7 +87,7 @@ def headless_viewer(size: str = "1920x1080", theme: Theme = "dark") -> Iterator[
             process.wait(10)
 
 
-def make_light(viewer: ViewerClient) -> None:
+def make_light(viewer: "ViewerClient") -> None:
     """Press the button of the light theme: no option, command or blueprint of the viewer has it, only its settings.
     Raises ConnectionError where that fails."""
     viewer.run_command("ui.open_settings")
@@ -112,7 +110,7 @@ def make_light(viewer: ViewerClient) -> None:
 
 
 def shoot(
-    viewer: ViewerClient,
+    viewer: "ViewerClient",
     recording: Path,
     out: Path,
     frame: int | None = None,

@@ -10,8 +10,6 @@ start of the same walk goes on after them.
 stays: visits to a file; files: different ones; returns: visits to a file that was visited before; functions: entered.
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
 import sys

@@ -6,8 +6,6 @@ A word of `PRIVATE` is reported with what to write instead. Of each tree at most
 than 25 words. `--draw` prints sentences at random, for a reader.
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
 import random

@@ -4,8 +4,6 @@ python -m deformscope.bench --device cuda --json -
 python -m deformscope.bench --quick --only step,relax --json bench.json
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

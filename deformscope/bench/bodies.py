@@ -1,7 +1,5 @@
 """The bodies that are measured: a cube pressed between two plates, and the thesis's sheet with one particle pushed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A process's first static state: `python -m deformscope.bench.first_result DEVICE` prints its time."""
 
-from __future__ import annotations
-
 import time
 
 BEGAN_S = time.perf_counter()

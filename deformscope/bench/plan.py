@@ -1,7 +1,5 @@
 """Cases to measure, and their durations."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """One run of the bench: its rows as they are measured, and the whole run as JSON."""
 
-from __future__ import annotations
-
 import json
 import os
 import platform

@@ -1,7 +1,5 @@
 """How long a new process takes to its first result, with kernels to compile and with kernels compiled before."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Cases of static states: one state, a sweep of a hundred, gradients, and fits of beta."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any

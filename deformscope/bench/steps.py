@@ -1,7 +1,5 @@
 """Time stepping: time and memory of one step."""
 
-from __future__ import annotations
-
 import gc
 import time
 from collections.abc import Generator, Iterator

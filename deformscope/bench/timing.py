@@ -1,7 +1,5 @@
 """Clocks, and rows of results: the case, its times, and its reference row."""
 
-from __future__ import annotations
-
 import gc
 import statistics
 import time
@@ -22,7 +20,7 @@ class Timing:
     wall_s: float
     cpu_s: float
 
-    def per(self, count: int) -> Timing:
+    def per(self, count: int) -> "Timing":
         """The share of one of `count` equal parts."""
         return Timing(self.wall_s / count, self.cpu_s / count)
 
@@ -96,7 +94,7 @@ class Contestant:
     run: Callable[[], Timing]
     unit: str = "ms"
     amount: float = 1.0
-    beside: Contestant | None = None
+    beside: "Contestant | None" = None
     facts: Mapping[str, object] = field(default_factory=dict)
     found: Callable[[], Mapping[str, object]] = dict
     note: str = ""

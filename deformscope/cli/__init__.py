@@ -7,8 +7,6 @@ To add a command: a frozen dataclass of its flags in `deformscope/config/`, a fi
 in `COMMANDS`. `run` imports heavy modules inside, and returns an exit status if it is not always 0.
 """
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import io
@@ -240,7 +238,7 @@ def with_flags(kind: type, run: Callable[[Any], object], args: Sequence[str], pr
     return run_options(options, run)
 
 
-def run_options(options: CommandOptions, run: Callable[[Any], object]) -> int:
+def run_options(options: "CommandOptions", run: Callable[[Any], object]) -> int:
     """Check the files of a command's options, run it, and list what it wrote."""
     from deformscope.cli.common import check_writable, json_alone, list_written
 

@@ -1,7 +1,5 @@
 """`deformscope arm where|files|home|go|jog`: where an arm is, and moving it without exploring."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from deformscope.cli.common import recorder_of, say, show_table, write_json

@@ -1,7 +1,5 @@
 """`deformscope bench`: cost of MSM on this machine, as a table."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """`deformscope calibrate beta|theta`: fit the model to images or to pair files, with interval and verdict."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
@@ -25,7 +23,7 @@ def run(config: BetaConfig | ThetaConfig) -> int:
     return _fit(config)
 
 
-def _fit(config: BetaConfig | ThetaConfig, show_on_page: Callable[[Estimate, Result], None] | None = None) -> int:
+def _fit(config: BetaConfig | ThetaConfig, show_on_page: "Callable[[Estimate, Result], None] | None" = None) -> int:
     from deformscope.files.model_file import save_model
     from deformscope.runs.calibration import calibrate
 
@@ -50,7 +48,7 @@ def _fit(config: BetaConfig | ThetaConfig, show_on_page: Callable[[Estimate, Res
     return 0
 
 
-def write_summaries(config: BetaConfig | ThetaConfig, found: Sequence[CalibrationResult]) -> None:
+def write_summaries(config: BetaConfig | ThetaConfig, found: "Sequence[CalibrationResult]") -> None:
     """Write the requested picture and report."""
     from deformscope.pictures.evidence import results_png
     from deformscope.runs.calibration_report import calibration_page

@@ -1,8 +1,6 @@
 """`deformscope calibrate tip|place|camera|force|time|arm`: measure the geometry of a rig and the compliance of its arm,
 and write them into its file with intervals."""
 
-from __future__ import annotations
-
 import cv2
 
 from deformscope.cli.common import quiet_warp, recorder_of, say, show, write_file, write_json

@@ -7,8 +7,6 @@ deformscope classify squeezes.npz --merge liquid=water,yogurt --merge granular=f
 deformscope classify more.npz --model contents.npz
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Common output of the commands: text, tables, JSON and files."""
 
-from __future__ import annotations
-
 import json
 import multiprocessing
 import os
@@ -51,7 +49,7 @@ CALLED = {"--record": "recording", "--save": "model", "--json": "JSON", "--out":
 # Words and tables ----------------------------------------------------------------------------------------------------
 
 
-def console() -> Console:
+def console() -> "Console":
     """The console for progress and remarks: stderr."""
     from rich.console import Console
 
@@ -89,8 +87,8 @@ def show_table(title: str, rows: Sequence[tuple[str, str]]) -> None:
 
 @contextmanager
 def recorder_of(
-    config: RecordedOptions, application: Application | None = None, *, real_time: bool = False
-) -> Iterator[Recorder]:
+    config: "RecordedOptions", application: "Application | None" = None, *, real_time: bool = False
+) -> "Iterator[Recorder]":
     """The recorder and the view of a command, by its flags; remarks on the recording's place.
 
     The flags are the recording's settings. application: None = that for findings, with views for each command"""
@@ -102,7 +100,7 @@ def recorder_of(
         yield recorder
 
 
-def settings_of(config: RecordedOptions) -> dict[str, object]:
+def settings_of(config: "RecordedOptions") -> dict[str, object]:
     """All flags of a command, as its recording keeps them."""
     command = type(config).__name__.removesuffix("Config").lower()
     return {"command": command, **cast("dict[str, object]", plain(config))}
@@ -126,7 +124,7 @@ def keep_page(*, served: bool = False) -> None:
 
 
 @contextmanager
-def list_written(options: Flags) -> Iterator[None]:
+def list_written(options: "Flags") -> Iterator[None]:
     """At the end of a command without an error, list the files and folders of its flags, and those reported by `wrote`,
     with the commands that open them."""
     token = _written.set([])

@@ -5,8 +5,6 @@ eval "$(deformscope completion bash)" deformscope completion fish > ~/.config/fi
 tyro's own script completes flags and their choices, but no positional values such as `sample:tension` and `lab:bench`.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import shlex
 from collections.abc import Iterable, Iterator

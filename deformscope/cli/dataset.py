@@ -1,7 +1,5 @@
 """`deformscope dataset`: list a data set of squeezes, correct it, and merge several."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Any

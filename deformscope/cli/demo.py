@@ -1,7 +1,5 @@
 """`deformscope demo`: the main task on simulated devices; leaves `runs/demo-<stamp>.rrd`."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

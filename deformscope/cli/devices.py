@@ -1,7 +1,5 @@
 """`deformscope devices`: connected devices, and their health."""
 
-from __future__ import annotations
-
 import dataclasses
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """`deformscope doctor`: checks whether a rig would work, and names remedies."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import time

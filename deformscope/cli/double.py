@@ -1,7 +1,5 @@
 """`deformscope double`: simulated devices on real transports, for users without hardware."""
 
-from __future__ import annotations
-
 import contextlib
 from typing import Any
 

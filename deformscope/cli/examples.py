@@ -1,7 +1,5 @@
 """The example at the end of each command's `--help`: lines that run as they are typed, in an empty folder."""
 
-from __future__ import annotations
-
 _DOUBLES = "deformscope doctor --example --doubles > rig.toml\n"
 _PLACED = _DOUBLES + "deformscope calibrate tip rig.toml\ndeformscope calibrate place rig.toml\n"
 _SEEN = _PLACED + "deformscope calibrate camera rig.toml\ndeformscope calibrate force rig.toml\n"

@@ -1,8 +1,6 @@
 """`deformscope explore`: map how soft a surface is, and where, by looking and touching. `deformscope squeeze`: squeeze
 a container once, for a data set or to name its content."""
 
-from __future__ import annotations
-
 import io
 import json
 from collections.abc import Callable
@@ -53,7 +51,7 @@ def squeeze(config: SqueezeConfig) -> int:
     """Squeeze, store the trial, and report. Returns the command's exit status."""
     from deformscope.runs.squeeze_run import leave, squeeze_on
 
-    def report(result: SqueezeResult) -> None:
+    def report(result: "SqueezeResult") -> None:
         write_json(result.as_json(), config.output.json)
         show(result)
 
@@ -69,7 +67,7 @@ class _Outputs:
         self.config = config
         self.unwritten: list[InputError] = []
 
-    def write(self, explored: ExplorationResult) -> None:
+    def write(self, explored: "ExplorationResult") -> None:
         """Write and print the results."""
         config = self.config
         if (maps := explored.estimate) is not None:
@@ -98,7 +96,7 @@ def _unwritten(path: Path | str, error: Exception) -> InputError:
     return InputError("a writable output file", " ".join(words.split()).lower(), where=path)
 
 
-def _map_file(config: ExploreConfig, maps: MapEstimate) -> bytes:
+def _map_file(config: ExploreConfig, maps: "MapEstimate") -> bytes:
     made_by: dict[str, Any] = {"scenario": config.rig, "seed": config.output.seed, "version": __version__}
     import numpy as np
 

@@ -1,7 +1,5 @@
 """`deformscope flow`: dense optical flow of two images, and its error."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

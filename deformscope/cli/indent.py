@@ -1,7 +1,5 @@
 """`deformscope indent`: Young's modulus from force over depth alone."""
 
-from __future__ import annotations
-
 from deformscope.cli.common import show, write_file, write_json
 from deformscope.config import IndentConfig
 from deformscope.runs.indentation import indent

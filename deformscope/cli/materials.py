@@ -1,8 +1,6 @@
 """`deformscope calibrate both|axes|field|yield|viscous`: beta with theta, a beta along each axis, relative stiffness of
 each place, yield strain, and relaxing share of the modulus."""
 
-from __future__ import annotations
-
 from deformscope.cli.common import EXIT_LOSSES, fit_progress, say, show, write_file, write_json
 from deformscope.config import BothConfig, MaterialOptions
 from deformscope.runs.joint_calibration import calibrate_jointly

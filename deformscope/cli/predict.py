@@ -1,7 +1,5 @@
 """`deformscope predict`: predict pokes that were not fitted."""
 
-from __future__ import annotations
-
 from itertools import chain
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`deformscope record`, `live`, `verify`, `recover`, `discard`, `replay`, `report`, `export`, `import`, `catalog`."""
 
-from __future__ import annotations
-
 from deformscope.cli import common
 from deformscope.config import (
     CatalogConfig,

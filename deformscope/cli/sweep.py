@@ -1,7 +1,5 @@
 """`deformscope sweep`: a command on every file of a folder, by many processes or on a Ray cluster, resumable."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib
 import io

@@ -5,8 +5,6 @@ line reports with the flag's name). A `Rule` in the annotation limits its range;
 with one another (`InputError`). Nothing heavy is imported here: `--help` shows these classes.
 """
 
-from __future__ import annotations
-
 from deformscope.config.arm import FilesConfig, GoConfig, HomeConfig, JogConfig, MovingOptions, WhereConfig
 from deformscope.config.calibrate import (
     AxesConfig,

@@ -1,7 +1,5 @@
 """Moving an arm to a pose or by keys: `deformscope arm where`, `files`, `home`, `go` and `jog`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated

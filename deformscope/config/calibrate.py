@@ -1,7 +1,5 @@
 """`deformscope calibrate ...` and `deformscope predict`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal

@@ -1,7 +1,5 @@
 """How many cases are computed in parallel, and the flags of sweeps and catalogs."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal

@@ -1,7 +1,5 @@
 """`deformscope explore`: options of an exploration, and of the command."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 

@@ -1,7 +1,5 @@
 """The form of one value on the command line, its range, and declarations of flags with such values."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Options that turn images into particles; `deformscope flow`."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from pathlib import Path

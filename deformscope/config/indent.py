@@ -1,7 +1,5 @@
 """Options of `deformscope indent`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Annotated
 

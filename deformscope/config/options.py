@@ -1,7 +1,5 @@
 """Methods that all options have, options of most commands, the meaning of annotations, and a command's text."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass

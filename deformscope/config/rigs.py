@@ -1,7 +1,5 @@
 """Devices and recordings of them, `deformscope devices`, `doctor`, `record`, `live`, `replay`...; and `bench`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal

@@ -1,7 +1,5 @@
 """Geometry and time offsets of a rig: `deformscope calibrate place`, `tip`, `camera`, `force` and `time`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated

@@ -1,7 +1,5 @@
 """Workers of this machine: lasting processes with one thread each, threads, or this process; opening any workers."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Collection, Iterator
 from concurrent import futures

@@ -1,7 +1,5 @@
 """Workers on a Ray cluster that the user has started; deformscope starts no cluster."""
 
-from __future__ import annotations
-
 import importlib.util
 import logging
 import os

@@ -3,8 +3,6 @@
 A worker takes a function of a module and an item; its computation depends on nothing else. At most `capacity` tasks are
 under way, so that memory does not grow with their number."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import fcntl

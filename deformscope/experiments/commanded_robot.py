@@ -1,7 +1,5 @@
 """A robot that carries out a session's commands, one at a time, in its own thread or at once."""
 
-from __future__ import annotations
-
 import abc
 import contextlib
 import gc

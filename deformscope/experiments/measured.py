@@ -1,7 +1,5 @@
 """From frames to measurements: the same functions during an exploration, and in its replay."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -147,7 +145,7 @@ class SetupGeometry:
     described: RobotDescription = AS_CAPSULES
 
     @classmethod
-    def of(cls, setup: Setup) -> SetupGeometry:
+    def of(cls, setup: Setup) -> "SetupGeometry":
         give = setup.compliance_m_per_n, setup.compliance_sd
         return cls(setup.size_m, setup.placement, setup.workspace, setup.camera, *give, setup.described)
 
@@ -164,7 +162,7 @@ class SetupGeometry:
         return msgspec.json.decode(msgspec.json.encode(values, enc_hook=lambda array: array.tolist()))  # type: ignore[no-any-return]
 
     @classmethod
-    def from_json(cls, given: Mapping[str, Any]) -> SetupGeometry:
+    def from_json(cls, given: Mapping[str, Any]) -> "SetupGeometry":
         """The reverse of `as_json`. Raises InputError where something is missing."""
         try:
             camera: dict[str, Any] = {}

@@ -2,8 +2,6 @@
 
 Nothing in them is executed (no pickle)."""
 
-from __future__ import annotations
-
 import io
 import json
 import math

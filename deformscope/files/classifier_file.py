@@ -12,8 +12,6 @@
 
 Nothing in it is executed when it is read (no pickle)."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import fields

@@ -4,8 +4,6 @@ Separators are tabs, `;`, commas and runs of blanks; numbers have decimal points
 several header rows, rows of units, byte order marks and lines that were cut off are recognised. pyarrow reads the
 rows."""
 
-from __future__ import annotations
-
 import codecs
 import contextlib
 import csv

@@ -7,8 +7,6 @@
 
 Nothing in it is executed when it is read (no pickle)."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from collections.abc import Mapping

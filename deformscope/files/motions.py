@@ -1,7 +1,5 @@
 """Motion files: a rest shape, its particles frame by frame, and the held ones, in one `.npz`."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

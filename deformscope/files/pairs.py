@@ -1,7 +1,5 @@
 """Pair files: a rest shape, the deformed shape, and the held particles, in one `.npz`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Tables of results: made row by row, stored as Parquet, and filtered by a condition that can have no other effect."""
 
-from __future__ import annotations
-
 import ast
 import difflib
 import json

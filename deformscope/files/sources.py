@@ -1,7 +1,5 @@
 """Where frames come from: a video, a folder, images in order, a recording, or a sample, as one lazy stream."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import math
@@ -62,7 +60,7 @@ class Source:
         self._frames: Iterator[ColorFrame] | None = None
         self._ahead: list[ColorFrame] = []
 
-    def __enter__(self) -> Source:
+    def __enter__(self) -> "Source":
         """Open it and read the first two frames, so that unusable input is refused before any work."""
         self._frames = self._open()
         try:

@@ -8,8 +8,6 @@
 
 Both files carry `deformscope` in their metadata: format, and the settings that the features were computed with."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import shutil
@@ -192,7 +190,7 @@ class SqueezeDataset:
                 if row.entry.trial in trials:
                     rows[at] = dataclasses.replace(row, entry=dataclasses.replace(row.entry, **changes))
 
-    def merge(self, other: SqueezeDataset) -> int:
+    def merge(self, other: "SqueezeDataset") -> int:
         """Copy the trials of another data set, with their recordings; returns their number. Trials that are here
         already and equal are skipped; raises InputError for a trial of the same name that differs."""
         theirs = other.rows()

@@ -6,8 +6,6 @@
 
 Nothing in them is executed (no pickle)."""
 
-from __future__ import annotations
-
 import io
 import re
 from collections import defaultdict
@@ -82,7 +80,7 @@ def table_of_arrays(found: Mapping[str, npt.NDArray[Any]]) -> LabelledTable:
     return _table(about, modalities, series, step_s)
 
 
-def table_of_columns(table: pa.Table) -> LabelledTable:
+def table_of_columns(table: "pa.Table") -> LabelledTable:
     """From columns label, optional group, kind and trial, and MODALITY.0, MODALITY.1..."""
     import pyarrow as pa
 
@@ -161,7 +159,7 @@ def _texts(values: npt.NDArray[Any], name: str) -> TextArray:
     return texts
 
 
-def _csv(raw: bytes) -> pa.Table:
+def _csv(raw: bytes) -> "pa.Table":
     import pyarrow as pa
 
     form = form_of(io.BytesIO(raw))
@@ -177,7 +175,7 @@ def _csv(raw: bytes) -> pa.Table:
         raise InputError("a CSV table with a header", " ".join(str(error).split())[:200], HOW) from error
 
 
-def _parquet(raw: bytes) -> pa.Table:
+def _parquet(raw: bytes) -> "pa.Table":
     import pyarrow as pa
     from pyarrow import parquet
 

@@ -2,8 +2,6 @@
 
 A damaged video is read without an error, because a decoder conceals or omits undecodable parts."""
 
-from __future__ import annotations
-
 import math
 import re
 import statistics

@@ -1,7 +1,5 @@
 """Recorded bytes of devices, decoded by the decoders of their drivers."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from typing import Any
 

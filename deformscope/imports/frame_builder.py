@@ -1,7 +1,5 @@
 """From a message's fields to a frame: which field is which column, in which unit."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

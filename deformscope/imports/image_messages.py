@@ -3,8 +3,6 @@
 Formats: image_transport_plugins, `compressed_depth_image_transport/codec.cpp`. RVL: Wilson, Fast Lossless Depth Image
 Compression, ISS 2017."""
 
-from __future__ import annotations
-
 import re
 import struct
 from collections import Counter

@@ -3,8 +3,6 @@
 It is read strictly, like a rig file. Values that a source does not contain (a unit, a pose, clock offsets) are keys of
 the map; while one reads `"?"` the import is refused with its name."""
 
-from __future__ import annotations
-
 import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal

@@ -1,7 +1,5 @@
 """The content of a source, and a proposal of a map."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -4,8 +4,6 @@ robot_data.json: a list of {"frame": 1, "forces": [x, y, z(, torques)]} [N]; mes
 with the same vertices [mm]; CAMERA/camera_parameters.json or CAMERA/NUMBER/...: intrinsics and extrinsics, of a Kinect
 color_intrinsics..."""
 
-from __future__ import annotations
-
 import io
 import re
 from collections.abc import Mapping

@@ -2,8 +2,6 @@
 
 Open3D 0.20 takes float64 of a binary PCD as 0, and what its memory held for the points that a shorter file lacks."""
 
-from __future__ import annotations
-
 import io
 import itertools
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Where an arm's end is at a time: from messages of poses, from trees of transforms, and from numbers of a table."""
 
-from __future__ import annotations
-
 import bisect
 import math
 import re

@@ -1,7 +1,5 @@
 """Supported sources: bags (ROS 1, ROS 2, MCAP) and tables (CSV, Parquet), message by message, never whole."""
 
-from __future__ import annotations
-
 import contextlib
 import heapq
 import itertools

@@ -1,7 +1,5 @@
 """A foreign source as a rig: its content, frame by frame, in order of time, in the form of `session.run`."""
 
-from __future__ import annotations
-
 import contextlib
 import heapq
 import itertools
@@ -113,7 +111,7 @@ class ImportSource(ItemSource):
         for one in streams:
             yield from one.rest()
 
-    def _hint(self, *empty: _Stream | CaptureStream) -> str:
+    def _hint(self, *empty: "_Stream | CaptureStream") -> str:
         is_posed = any(one.stream.kind == "arm" for one in empty)
         return f"its topics{', pose and joints' if is_posed else ''} in the map, which --inspect lists"
 

@@ -1,8 +1,6 @@
 """Compressed parts of bags, unpacked no further than `check_size` allows: rosbags' own functions have no bound. It
 refuses MCAPs without the profile ros2, and with a schema that is not of ROS: here both are read."""
 
-from __future__ import annotations
-
 import bz2
 import contextlib
 import io

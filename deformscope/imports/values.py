@@ -1,7 +1,5 @@
 """The streams of a map in few numbers and a picture: a person judges whether they are what was measured."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any

@@ -1,7 +1,5 @@
 """An arm that presses on a world: the force at which arm and world, which both yield, are in balance."""
 
-from __future__ import annotations
-
 import math
 from typing import Protocol
 

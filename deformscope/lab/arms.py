@@ -1,7 +1,5 @@
 """Simulated arms behind their own drivers, each with a laboratory's interface: its pose, and pushes."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager

@@ -1,7 +1,5 @@
 """Scene of the bench's doubles: a block of foam that a stick presses from time to time, the same for all doubles."""
 
-from __future__ import annotations
-
 import math
 from functools import cache, lru_cache
 

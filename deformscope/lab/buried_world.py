@@ -11,8 +11,6 @@ its mesh's errors at the surface are the same in both. The two are factorised on
 more than without a ball. `tests/lab/test_buried_world.py` compares with one fine mesh of slab and ball.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 from scipy.linalg import cho_factor, cho_solve

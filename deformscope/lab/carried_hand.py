@@ -3,8 +3,6 @@ place: measured by the camera; a hit slides or topples it.
 
 Frames: the table's (z = 0 on it, y away from the arm) is the world's here; `ContainerWorld` squeezes in the hand's."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, Final

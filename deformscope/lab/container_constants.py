@@ -22,8 +22,6 @@ Sources:
             available
   KHOSH     Khoshelham and Oude Elberink 2012, Sensors 12: depth noise of a first Kinect"""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Final
 

@@ -21,8 +21,6 @@ Not modelled: waves and inertia (rho v^2 is 1 Pa), flow of a granular filling al
 squeezes, the shape of grains.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,7 +60,7 @@ class Patches:
     index: float
 
     @classmethod
-    def of(cls, content: Content, depth_m: FloatArray, half_width_m: float) -> Patches:
+    def of(cls, content: Content, depth_m: FloatArray, half_width_m: float) -> "Patches":
         """Resistance of patches (p,) at a depth below the content's surface; patches above it have none."""
         under = depth_m > 0.0
         none = np.zeros(depth_m.shape)

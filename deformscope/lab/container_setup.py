@@ -1,8 +1,6 @@
 """The setup of lab:containers, and the container that a rig's doubles squeeze. Its requested properties
 are set, the rest is drawn from the seed."""
 
-from __future__ import annotations
-
 import dataclasses
 import zlib
 from dataclasses import dataclass

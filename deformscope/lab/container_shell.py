@@ -19,8 +19,6 @@ Not modelled: stiffening by large dents (von Karman), buckling, creases of a car
 Instances of a kind differ by one factor on the whole stiffness (modulus times thickness cubed), so that one
 factorisation serves them all."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import pairwise

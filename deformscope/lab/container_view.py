@@ -5,8 +5,6 @@ fingers are capsules with the surface of their pads. The camera sees the side at
 metre away (thesis 5.1), from above and from beyond the fingertips. Not modelled: shadows of the camera's projector
 around the fingers, a pixel wide on the wall."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

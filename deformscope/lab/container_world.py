@@ -13,8 +13,6 @@ about it (virtual work: sum of forces x d depth / d angle) is within its motor's
 Texels keep the place on the wall where they were when their finger came near. Not modelled: friction of the pads,
 rotation of the container under the squeeze, the shape of the dent under a single texel."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -62,7 +60,7 @@ class ContainerDraw:
     @classmethod
     def draw(
         cls, shape: ContainerShape, seed: int, instance: int, session: int = 0, grasp: FloatArray | None = None
-    ) -> ContainerDraw:
+    ) -> "ContainerDraw":
         """A random draw: the wall depends on the instance, the temperature on the session, and nothing on the content.
         grasp: (4, 4) planned pose of the container in the hand; None = it is drawn too"""
         own = np.random.default_rng([seed, 0x15])

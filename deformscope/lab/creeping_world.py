@@ -21,8 +21,6 @@ Not modelled: foams of different relaxation within the reach of one touch (each 
 middle). The memory of a place is lost if the tip slides further than its mesh allows.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

@@ -9,8 +9,6 @@ The camera looks at the slab's middle from 0.8 m, at 45 degrees, across the long
 An arm should be opposite.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

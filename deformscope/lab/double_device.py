@@ -1,7 +1,5 @@
 """Doubles that replace devices, for a rig file with `double = true`."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import itertools
@@ -121,7 +119,7 @@ def config_bus(config: object) -> str:
 # What each double is like ---------------------------------------------------------------------------------------------
 
 
-def _optoforce(config: OptoforceConfig) -> Double:
+def _optoforce(config: "OptoforceConfig") -> Double:
     """Sensors on a stick that presses foam now and then, as many and as sensitive as the rig file says. They begin at
     rest, so that they can be zeroed when they are opened."""
     from deformscope.lab.bench_scene import PRESS_S, loads
@@ -137,16 +135,16 @@ def _optoforce(config: OptoforceConfig) -> Double:
     return OptoforceDouble(Sensors(kind, scene, sensitivities))
 
 
-def _dsa(config: DsaConfig) -> Double:
+def _dsa(config: "DsaConfig") -> Double:
     return DsaDouble(bytes_per_s=None) if config.port.startswith("socket:") else DsaDouble()
 
 
-def _sdh(config: SdhConfig) -> Double:
+def _sdh(config: "SdhConfig") -> Double:
     return GraspingHand(Port.RS232 if config.checksummed() else Port.CAN)
 
 
 @contextlib.contextmanager
-def _jaco(config: JacoConfig) -> Iterator[Device[Any]]:
+def _jaco(config: "JacoConfig") -> Iterator[Device[Any]]:
     arm = JacoDouble(config.model or "j2n6s300")
     with moved_by_hand(arm) as let_go:
 
@@ -161,21 +159,21 @@ def _jaco(config: JacoConfig) -> Iterator[Device[Any]]:
 
 
 @contextlib.contextmanager
-def _kuka(config: KukaConfig) -> Iterator[Device[Any]]:
+def _kuka(config: "KukaConfig") -> Iterator[Device[Any]]:
     port = free_port()
     with UdpWire(KukaDouble(config.model, cycle_s=config.cycle_s, again_s=0.5), port):
         yield open_kuka(dataclasses.replace(config, address=LOOPBACK, port=port, controller=""))
 
 
 @contextlib.contextmanager
-def _webcam(config: WebcamConfig) -> Iterator[Device[Any]]:
+def _webcam(config: "WebcamConfig") -> Iterator[Device[Any]]:
     from deformscope.lab.bench_scene import side
 
     yield SyntheticCamera(side, SyntheticCameraConfig(rate_hz=config.fps))
 
 
 @contextlib.contextmanager
-def _depth_camera(config: DepthCameraConfig) -> Iterator[Device[Any]]:
+def _depth_camera(config: "DepthCameraConfig") -> Iterator[Device[Any]]:
     from deformscope.lab.bench_scene import view
 
     yield SyntheticDepthCamera(view, SyntheticDepthConfig(rate_hz=config.fps or 30.0))

@@ -1,7 +1,5 @@
 """Faults of a simulated laboratory: injected immediately (`inject`), or during the touches (`FaultsToCome`)."""
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -110,7 +108,7 @@ class FaultAt:
     touch: int
 
     @classmethod
-    def parse(cls, text: str, touches: int) -> FaultAt:
+    def parse(cls, text: str, touches: int) -> "FaultAt":
         """KIND@TOUCH, such as force-silent@2. touches: how many there are at most. Raises InputError."""
         kinds = {kind.word: kind for kind in Injected}
         word, at, number = text.partition("@")

@@ -1,8 +1,6 @@
 """Equilibrium of foam at large strain by finite elements: Newton's method with a line search on the energy, and load
 steps that are halved if it fails."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any

@@ -3,8 +3,6 @@
 For trying robots and rigs, not for studies: linear elasticity on an axis, without finite elements' shapes of a contact.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

@@ -4,8 +4,6 @@ It is the table of a rig file with `double = true` and `[surface] scene`: the co
 simulated one. The table is simulated in separate processes, because a real one does not wait for this program's
 threads. `touch_lab` is the laboratory for studies: its clock is simulated, and its runs are repeatable."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import threading

@@ -3,8 +3,6 @@
 The same doubles as in `squeeze_lab`, behind pseudo terminals, in a child process: a real hand does not wait for this
 program's threads either. That process also draws the pictures. Here a call may wait for a motion."""
 
-from __future__ import annotations
-
 import contextlib
 import threading
 import time
@@ -50,7 +48,7 @@ class LiveSqueezeLab:
         self._configs = SdhConfig(), DsaConfig()
         self._over = threading.Event()
 
-    def __enter__(self) -> LiveSqueezeLab:
+    def __enter__(self) -> "LiveSqueezeLab":
         with contextlib.ExitStack() as stack:
             pictures, theirs = SPAWN.Pipe(duplex=False)
             given = self._case, self.camera_hz, theirs

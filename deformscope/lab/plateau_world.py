@@ -8,8 +8,6 @@ one kind, far from its edges, force over depth is therefore that of the large-st
 Not modelled: near a border or an edge, the share is that of the foam below the tip's middle on a level layer of the
 same thickness. The dent around the tip is that of linear foam at the same depth, while on a plateau it is narrower."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

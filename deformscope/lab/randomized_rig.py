@@ -4,8 +4,6 @@
 with small errors, as a person at a real rig would.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -53,7 +51,7 @@ class RandomizedRig:
     force_gain: float = 1.0
 
     @classmethod
-    def draw(cls, number: int, tool: Tool, size_m: tuple[float, float], thickness_m: float) -> RandomizedRig:
+    def draw(cls, number: int, tool: Tool, size_m: tuple[float, float], thickness_m: float) -> "RandomizedRig":
         """The rig that belongs to a seed. tool: the tool, whose radii are measured with a caliper and are exact"""
         random = np.random.default_rng([number, 0x81D])
         T = np.array(T_BASE_SURFACE)

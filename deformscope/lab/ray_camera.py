@@ -2,8 +2,6 @@
 
 It has the figures of a PrimeSense: 640x480 pixels, 570 px of focal length."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

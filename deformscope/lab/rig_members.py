@@ -1,7 +1,5 @@
 """Devices made from a rig file, with doubles where it asks for them."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator
 from typing import Any

@@ -1,7 +1,5 @@
 """A simulated scene to explore: finite element foam under an arm, a force sensor and a depth camera, on one clock."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from pathlib import Path
 from typing import Any

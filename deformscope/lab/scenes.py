@@ -24,8 +24,6 @@ yields: its stress tends to a plateau near a twentieth of its modulus (Ogden's l
 foam without it: smaller and thicker slabs (`BURIED`).
 """
 
-from __future__ import annotations
-
 import difflib
 import re
 import zlib
@@ -169,7 +167,7 @@ class Piece:
     plateau_exponent: int = 0
 
     @classmethod
-    def named(cls, name: str, times: float = 1.0) -> Piece:
+    def named(cls, name: str, times: float = 1.0) -> "Piece":
         """The piece of a hardness in N ("110", "110c30p20" where 30 % relaxes and 20 % of each dent stays, or "110y20"
         that yields), times a factor, or "rigid"."""
         if name == "rigid":

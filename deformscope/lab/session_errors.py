@@ -7,8 +7,6 @@ The estimator has the deviations of common practice (a calibration with its inte
 never the random values.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass
 from functools import partial
@@ -49,11 +47,11 @@ class LabErrors:
     friction: float = 0.3
 
     @classmethod
-    def none(cls) -> LabErrors:
+    def none(cls) -> "LabErrors":
         """The clean laboratory, without errors beyond those that the estimator assumes."""
         return cls(0.0, 0.0, 0.0, (0.0, 0.0), 0.04, 0.0, 0.0, 0.0)
 
-    def draw(self, seed: int | list[int]) -> SessionErrors:
+    def draw(self, seed: int | list[int]) -> "SessionErrors":
         """One session's."""
         random = np.random.default_rng(np.append(seed, 0x5E5510))
         arm, gain, drift, thickness = random.standard_normal(4)

@@ -3,8 +3,6 @@
 Linear elastic, any field of Young's modulus. The mesh covers the slab around the tip and is finest at its edge, where
 the pressure of a flat tip is infinite; the surface farther away hardly moves."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

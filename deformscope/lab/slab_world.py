@@ -18,8 +18,6 @@ Not modelled: friction, speed (`creeping_world`), large strain, and the lateral 
 closed along the rest surface's normal). `tests/lab/test_slab_world.py` compares with Hertz and with finer meshes.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

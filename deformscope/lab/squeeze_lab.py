@@ -16,8 +16,6 @@ from finger 2 to finger 0; y is upwards here). A container's frame: origin in th
 squeeze, z upwards.
 """
 
-from __future__ import annotations
-
 import contextlib
 import zlib
 from collections.abc import Iterable, Sequence
@@ -241,7 +239,7 @@ class SqueezeLab:
             for device in self._devices:
                 stack.callback(device.close)
 
-    def __enter__(self) -> SqueezeLab:
+    def __enter__(self) -> "SqueezeLab":
         self.open()
         return self
 

@@ -3,8 +3,6 @@
 The doubles use the real drivers: the arm's pose presses the world, the world's force goes into the force sensor's scene
 and onto the arm. There are no threads: `wait_until` lets time pass, so every run is the same."""
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import dataclasses
@@ -116,7 +114,7 @@ class TouchLab:
         return self._jaco[0]
 
     @property
-    def functions(self) -> Spoiled:
+    def functions(self) -> "Spoiled":
         """Functions of the arm's vendor, which can be disturbed; raises TypeError as `arm_double` does."""
         self.arm_double  # noqa: B018
         assert self._jaco is not None
@@ -138,7 +136,7 @@ class TouchLab:
                 if device is not None:
                     stack.callback(device.close)
 
-    def __enter__(self) -> TouchLab:
+    def __enter__(self) -> "TouchLab":
         self.open()
         return self
 

@@ -1,7 +1,5 @@
 """The first view of an opened recording: one glance, no tabs, no empty views."""
 
-from __future__ import annotations
-
 import rerun.blueprint as rrb
 
 from deformscope.log.canvas import COLUMN_SHARE, ROW_SHARE, Canvas

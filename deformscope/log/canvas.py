@@ -1,7 +1,5 @@
 """Common parts of all views over a picture: colours, the picture, its legend and its colour bar."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -57,7 +55,7 @@ class Canvas:
         """Whether the legend is at the side of the picture: only if that is tall and narrow."""
         return self.height > SIDE_LEGEND_FROM * self.width
 
-    def around(self, position: FloatArray) -> Canvas:
+    def around(self, position: FloatArray) -> "Canvas":
         """This canvas with the present places of the particles. position: (K, d), NaN where unknown."""
         finite = position[np.isfinite(position).all(axis=1)]
         if not len(finite):

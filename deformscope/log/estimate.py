@@ -1,8 +1,6 @@
 """Results of a calibration: simulated against observed particles, their residuals, the model's error over the body, the
 error curve with the posterior, the verdict."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import numpy.typing as npt

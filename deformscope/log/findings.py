@@ -1,7 +1,5 @@
 """Results of a study or a command, as views: its pictures and bodies, and its tables as text."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import dataclass

@@ -1,8 +1,6 @@
 """Kinds of recordings, and what an experiment with devices adds to its recorder: the first views, and those of results.
 Nothing here imports rerun before it is needed."""
 
-from __future__ import annotations
-
 import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -39,7 +37,7 @@ class Application:
     devices: bool = False
     robot_moves: bool = False
 
-    def variant(self, name: str) -> Application:
+    def variant(self, name: str) -> "Application":
         """The application with separate views under this name; without a name the application itself."""
         return dataclasses.replace(self, name=f"{self.name}-{name}") if name else self
 
@@ -63,11 +61,11 @@ class RecordingLayout(ABC):
     by_touch: ClassVar[bool] = False
 
     @abstractmethod
-    def blueprint(self, *, on_page: bool = False) -> rr.blueprint.Blueprint:
+    def blueprint(self, *, on_page: bool = False) -> "rr.blueprint.Blueprint":
         """The views. on_page: the views of a page"""
 
     @abstractmethod
-    def log_start(self, rec: rr.RecordingStream) -> None:
+    def log_start(self, rec: "rr.RecordingStream") -> None:
         """Log constants, and the devices' descriptions."""
 
     def touch_after(self, results: Sequence[object], touch: int) -> int:
@@ -75,8 +73,8 @@ class RecordingLayout(ABC):
         return touch
 
     def prepare(
-        self, results: Sequence[object], session_ns: int, place: Place, cell_m: float, failed: list[StageFailure]
-    ) -> Batch:
+        self, results: Sequence[object], session_ns: int, place: "Place", cell_m: float, failed: "list[StageFailure]"
+    ) -> "Batch":
         """Prepare results of one time: items of a robot that touches, unless a layout accepts others.
 
         session_ns: time since the recording's start [ns]; place: place on the timelines of an exploration
@@ -95,7 +93,7 @@ class RigLayout(RecordingLayout):
 
     stages: tuple[tuple[str, str], ...] = ()
 
-    def blueprint(self, *, on_page: bool = False) -> rr.blueprint.Blueprint:
+    def blueprint(self, *, on_page: bool = False) -> "rr.blueprint.Blueprint":
         """A page shows the devices' health outside the viewer."""
         if self.stages:
             from deformscope.log.stages.over_image import stage_blueprint
@@ -105,7 +103,7 @@ class RigLayout(RecordingLayout):
 
         return rig_blueprint(self.streams, health=not on_page)
 
-    def log_start(self, rec: rr.RecordingStream) -> None:
+    def log_start(self, rec: "rr.RecordingStream") -> None:
         if self.stages:
             from deformscope.log.stages import log_stage_streams
 
@@ -133,14 +131,14 @@ class ExplorationLayout(RecordingLayout):
 
     by_touch: ClassVar[bool] = True
 
-    def blueprint(self, *, on_page: bool = False) -> rr.blueprint.Blueprint:
+    def blueprint(self, *, on_page: bool = False) -> "rr.blueprint.Blueprint":
         from deformscope.log.exploration.blueprint import exploration_blueprint
 
         return exploration_blueprint(
             self.streams, self.size_m, truth=self.truth, inclusions=self.inclusions, tabs=on_page
         )
 
-    def log_start(self, rec: rr.RecordingStream) -> None:
+    def log_start(self, rec: "rr.RecordingStream") -> None:
         from deformscope.log.exploration.perception import log_frames
         from deformscope.log.exploration.results import log_exploration_start
 
@@ -171,7 +169,7 @@ class SqueezeLayout(RecordingLayout):
     named: bool = False
     base_from_table: FloatArray | None = None
 
-    def blueprint(self, *, on_page: bool = False) -> rr.blueprint.Blueprint:
+    def blueprint(self, *, on_page: bool = False) -> "rr.blueprint.Blueprint":
         from deformscope.log.squeeze.results import squeeze_blueprint
 
         placed = self.base_from_table is not None
@@ -179,7 +177,7 @@ class SqueezeLayout(RecordingLayout):
             self.streams, self.tactile, self.camera, self.around_px, named=self.named, placed=placed
         )
 
-    def log_start(self, rec: rr.RecordingStream) -> None:
+    def log_start(self, rec: "rr.RecordingStream") -> None:
         from deformscope.log.squeeze.display import log_place_start
         from deformscope.log.squeeze.results import log_squeeze_start
 
@@ -187,14 +185,14 @@ class SqueezeLayout(RecordingLayout):
         log_place_start(rec, self.streams, self.base_from_table)
 
     def prepare(
-        self, results: Sequence[object], session_ns: int, place: Place, cell_m: float, failed: list[StageFailure]
-    ) -> Batch:
+        self, results: Sequence[object], session_ns: int, place: "Place", cell_m: float, failed: "list[StageFailure]"
+    ) -> "Batch":
         """Results as a batch at time `session_ns`, without a frame or touch."""
         from deformscope.log.squeeze.results import prepare_squeeze_results
 
         return prepare_squeeze_results(results, session_ns, self._fingertips())
 
-    def _fingertips(self) -> Fingertips:
+    def _fingertips(self) -> "Fingertips":
         from deformscope.log.squeeze.display import Fingertips
 
         return Fingertips(next(stream for stream in self.streams if stream.device == self.tactile), self.pads)

@@ -1,8 +1,6 @@
 """The stream to a live viewer: it receives visible items, thinned for a page on a slow machine, and reports their
 arrival. A recording keeps every item."""
 
-from __future__ import annotations
-
 import dataclasses
 import time
 from collections.abc import Callable, Sequence

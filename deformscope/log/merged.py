@@ -1,7 +1,5 @@
 """Merges portions of a recording: a few large ones are read and shown many times faster."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 

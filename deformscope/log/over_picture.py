@@ -1,7 +1,5 @@
 """Results over a picture: of images, of pairs of particle sets, and of studies."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from functools import partial

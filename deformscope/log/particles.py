@@ -1,7 +1,5 @@
 """Particles over the image: at rest, where they were seen, and those that were lost; optical flow as arrows."""
 
-from __future__ import annotations
-
 import numpy as np
 import rerun as rr
 

@@ -1,7 +1,5 @@
 """Results of one time, prepared for rerun."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import Any, ParamSpec
 
@@ -17,7 +15,7 @@ from deformscope.rows import ENTITIES, SERIES
 P = ParamSpec("P")
 
 
-def png_view(path: str, draw: Callable[..., bytes], *more: object) -> Callable[[ResultBatch, Any], None]:
+def png_view(path: str, draw: Callable[..., bytes], *more: object) -> "Callable[[ResultBatch, Any], None]":
     """The view that logs the PNG of a result. draw: a function of a module, called with the result and `more`"""
     return lambda now, result: now.show_png(path, draw, result, *more)
 

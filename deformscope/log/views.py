@@ -1,8 +1,6 @@
 """The registry of views: for each type of result the logging function, and the stages that give it. Every
 recorded type has one, and all are looked up here."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias, TypeVar

@@ -1,7 +1,5 @@
 """Two recordings on a page, on one timeline: zero is the first contact of each."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from pathlib import Path

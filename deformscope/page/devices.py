@@ -1,7 +1,5 @@
 """Health of a rig's devices, on its page and at the terminal: rates, losses, drift, alarms."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 from deformscope.frames import HealthReport, LinkChange, SessionNote, Stream, WrenchFrame

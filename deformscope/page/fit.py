@@ -1,8 +1,6 @@
 """A fit whose settings are made on a page, in a separate process: changes are simulated immediately, and only the
 newest one counts."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import shlex

@@ -1,7 +1,5 @@
 """A fit that is set on a page before a command computes it."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -27,7 +25,7 @@ if TYPE_CHECKING:  # loaded once the page is there
 @contextmanager
 def set_on_page(
     config: BetaConfig | ThetaConfig, note: Callable[[str], None]
-) -> Iterator[tuple[BetaConfig | ThetaConfig, Callable[[Estimate, Result], None]]]:
+) -> "Iterator[tuple[BetaConfig | ThetaConfig, Callable[[Estimate, Result], None]]]":
     """Set a fit on a page, until it is stopped there. Yields the chosen options, and the view of the result.
 
     The page is served until the process ends. Raises InputError for unreadable sources."""
@@ -41,7 +39,7 @@ def set_on_page(
         chosen, last = _set(config, page, note)
         page.session.enter("adjusting", commands=(), reason="the whole fit uses these settings")
 
-        def show(estimate: Estimate, shown: Result) -> None:
+        def show(estimate: "Estimate", shown: "Result") -> None:
             from deformscope.page.fit import found_of
             from deformscope.pictures.evidence import results_png
 

@@ -1,7 +1,5 @@
 """The page's side of a fit: all is computed in a process of its own (`deformscope.page.fit`)."""
 
-from __future__ import annotations
-
 import queue
 import threading
 import time
@@ -30,7 +28,11 @@ class FitProcess:
     drawn_ms: time from a change on the page until the page has drawn it [ms]"""
 
     def __init__(
-        self, config: BetaConfig | ThetaConfig, state: FitState, page: PageServer, changed: Callable[[FitProcess], None]
+        self,
+        config: BetaConfig | ThetaConfig,
+        state: FitState,
+        page: PageServer,
+        changed: "Callable[[FitProcess], None]",
     ) -> None:
         self._target = partial(_fit, config)
         self._page, self._changed = page, changed
@@ -43,7 +45,7 @@ class FitProcess:
         self._out: queue.SimpleQueue[PageCommand | None] = queue.SimpleQueue()
         self.thread = threading.Thread(target=self._listen, name="deformscope-fit", daemon=True)
 
-    def start(self) -> FitProcess:
+    def start(self) -> "FitProcess":
         """Begin. An interrupted start can still be closed."""
         self.thread.start()
         return self

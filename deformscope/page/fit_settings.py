@@ -1,7 +1,5 @@
 """Settings on the page of a fit, and the options of its command."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Input of a fit on a page: images whose particles are set there, or a fixed pair."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Mapping
 from typing import Literal

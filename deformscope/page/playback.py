@@ -1,7 +1,5 @@
 """Pages that play recordings: one, whose chapters are its touches, its episodes, or its phases; or any of a catalog."""
 
-from __future__ import annotations
-
 import asyncio
 import sys
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """A rig that is watched on a page: its devices stay open while the page's buttons begin and end files."""
 
-from __future__ import annotations
-
 import shutil
 import threading
 from collections.abc import Callable, Sequence
@@ -167,7 +165,7 @@ class PageRecorder:
         assert self._watch.page is not None
         return self._watch.page.session
 
-    def __enter__(self) -> PageRecorder:
+    def __enter__(self) -> "PageRecorder":
         with ExitStack() as stack:
             if self._take is not None:
                 stack.enter_context(self._take.recorder)  # its name is taken before anything is opened

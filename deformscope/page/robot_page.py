@@ -1,8 +1,6 @@
 """Common parts of all pages of a robot: it moves after a person has confirmed the motion on the page, and only while
 the page is present."""
 
-from __future__ import annotations
-
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence

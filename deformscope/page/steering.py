@@ -3,8 +3,6 @@
 The page starts no motion: the loop of `experiments.explore.explore` queries it before each touch. Its robot checks in
 each control period whether the page that confirmed the touch is still present."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from typing import Any

@@ -1,7 +1,5 @@
 """Results on contents, as PNG: the thesis's figures 2.6, 2.7 and 2.9 to 2.14, transfer, fusion, calibration."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -184,7 +182,7 @@ def _reach(found: Sequence[Estimated]) -> FloatArray:
     return np.asarray(np.maximum(np.stack([value - ends[:, 0], ends[:, 1] - value]), 0.0))
 
 
-def _percent(axis: Axes, name: str = "accuracy") -> None:
+def _percent(axis: "Axes", name: str = "accuracy") -> None:
     axis.set(ylim=(-0.02, 1.02), ylabel=name)
     axis.yaxis.set_major_formatter(lambda y, _: f"{y:.0%}")
 
@@ -222,7 +220,7 @@ def confusion_png(scores: Sequence[ClassificationScore], labels: Sequence[str]) 
     return png_of(figure, DPI)
 
 
-def _numbers(axis: Axes, score: ClassificationScore) -> None:
+def _numbers(axis: "Axes", score: ClassificationScore) -> None:
     count = len(score.shares)
     for row in range(count):
         for column in range(count):

@@ -1,7 +1,5 @@
 """View of a body in space: its moved part, and the magnification of its heights."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

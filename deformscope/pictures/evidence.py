@@ -2,8 +2,6 @@
 
 The same drawings go into recordings, the `--picture` of a command and its report."""
 
-from __future__ import annotations
-
 import math
 import textwrap
 from collections.abc import Callable, Sequence
@@ -173,7 +171,7 @@ def _rows(results: Sequence[Result]) -> list[tuple[int, int]]:
     return [every[row] for row in sorted(np.argsort(size)[::-1][:MOST_ROWS].tolist())]
 
 
-def _one(result: Result, index: int, draw: Callable[[Figure, SubplotSpec, Result, int], None]) -> bytes:
+def _one(result: Result, index: int, draw: "Callable[[Figure, SubplotSpec, Result, int], None]") -> bytes:
     figure = canvas(6.2, 4.6, layout="constrained")
     draw(figure, figure.add_gridspec(1, 1)[0, 0], result, index)
     return png_of(figure, DPI)
@@ -183,7 +181,7 @@ def _one(result: Result, index: int, draw: Callable[[Figure, SubplotSpec, Result
 
 
 def _draw_evidence(
-    figure: Figure, grid: GridSpecBase, estimate: Estimate, *, titled: bool = True, size: int = 11, width: int = 62
+    figure: "Figure", grid: "GridSpecBase", estimate: Estimate, *, titled: bool = True, size: int = 11, width: int = 62
 ) -> None:
     """The curve in the upper three of five rows, the posterior below it; all for the curve where there is none."""
     if estimate.posterior is None:
@@ -200,7 +198,7 @@ def _draw_evidence(
         above.set_title(words, fontsize=size, color=WORDS)
 
 
-def _draw_curve(axes: Axes, estimate: Estimate, size: int) -> None:
+def _draw_curve(axes: "Axes", estimate: Estimate, size: int) -> None:
     curve = estimate.curve
     factor, unit = readable(estimate.unit, float(np.nanmax(curve.aee, initial=0.0)))
     best = _error_at(estimate) * factor
@@ -227,7 +225,7 @@ def _draw_curve(axes: Axes, estimate: Estimate, size: int) -> None:
     axes.legend(fontsize=size - 2)
 
 
-def _draw_posterior(axes: Axes, estimate: Estimate, size: int) -> None:
+def _draw_posterior(axes: "Axes", estimate: Estimate, size: int) -> None:
     assert estimate.posterior is not None
     _draw_density(axes, estimate)
     axes.set_xlabel(f"{estimate.parameter} [-]", fontsize=size)
@@ -256,7 +254,7 @@ def _draw_posterior(axes: Axes, estimate: Estimate, size: int) -> None:
     inset.set_title("enlarged", fontsize=size - 3, pad=2)
 
 
-def _draw_density(axes: Axes, estimate: Estimate) -> None:
+def _draw_density(axes: "Axes", estimate: Estimate) -> None:
     assert estimate.posterior is not None
     posterior = estimate.posterior
     low, high = estimate.interval
@@ -268,7 +266,7 @@ def _draw_density(axes: Axes, estimate: Estimate) -> None:
     _shade(axes, estimate)
 
 
-def _shade(axes: Axes, estimate: Estimate) -> None:
+def _shade(axes: "Axes", estimate: Estimate) -> None:
     low, high = estimate.interval
     axes.axvspan(low, high, color=INTERVAL, alpha=0.4, lw=0, label=f"{estimate.level:.0%} interval")
     axes.axvline(estimate.value, color=MINIMUM, lw=1.2, ls="--")
@@ -285,7 +283,7 @@ def _error_at(estimate: Estimate) -> float:
 # Particles -----------------------------------------------------------------------------------------------------------
 
 
-def _draw_particles(figure: Figure, place: SubplotSpec, result: Result, index: int) -> None:
+def _draw_particles(figure: "Figure", place: "SubplotSpec", result: Result, index: int) -> None:
     comparison = result.comparisons[index]
     if comparison.rest.shape[1] == 2:
         axes = figure.add_subplot(place)
@@ -320,7 +318,7 @@ def _draw_flat_particles(axes: Any, comparison: Comparison, image: ImageArray | 
     _legend_below(axes)
 
 
-def _draw_cut(axes: Axes, comparison: Comparison, shown: CloseUp) -> None:
+def _draw_cut(axes: "Axes", comparison: Comparison, shown: CloseUp) -> None:
     """Heights along x through the point that moved the most."""
     rest, observed, simulated = comparison.rest, comparison.observed, comparison.simulated
     motion = np.where(comparison.seen, distances(observed, rest), 0.0)
@@ -356,7 +354,7 @@ def _draw_cut(axes: Axes, comparison: Comparison, shown: CloseUp) -> None:
     _legend_below(axes)
 
 
-def _draw_deep_particles(axes: Axes3D, comparison: Comparison) -> None:
+def _draw_deep_particles(axes: "Axes3D", comparison: Comparison) -> None:
     from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
     scale = _deep_frame(axes, comparison)
@@ -374,7 +372,7 @@ def _draw_deep_particles(axes: Axes3D, comparison: Comparison) -> None:
 # Where the model is wrong --------------------------------------------------------------------------------------------
 
 
-def _draw_errors(figure: Figure, place: SubplotSpec, result: Result, index: int) -> None:
+def _draw_errors(figure: "Figure", place: "SubplotSpec", result: Result, index: int) -> None:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
@@ -430,7 +428,7 @@ def _draw_flat_errors(
         axes.scatter(*place[worst], s=1.6 * size, facecolors="none", edgecolors="white", linewidths=0.7, zorder=5)
 
 
-def _draw_deep_errors(axes: Axes3D, comparison: Comparison, error: FloatArray, end: float) -> None:
+def _draw_deep_errors(axes: "Axes3D", comparison: Comparison, error: FloatArray, end: float) -> None:
     """Draw the error (K,) over the skin of a body in space. end: end of its scale"""
     import matplotlib as mpl
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
@@ -458,7 +456,7 @@ def _draw_deep_errors(axes: Axes3D, comparison: Comparison, error: FloatArray, e
 # What every drawing shares -------------------------------------------------------------------------------------------
 
 
-def _frame(axes: Axes, comparison: Comparison, image: ImageArray | None, shown: CloseUp | None = None) -> float:
+def _frame(axes: "Axes", comparison: Comparison, image: ImageArray | None, shown: CloseUp | None = None) -> float:
     """Set limits and labels, and draw the image (h, w) or (h, w, 3) below; the factor from a position to the
     drawing."""
     scale, unit = _length_unit(comparison)
@@ -486,7 +484,7 @@ def _frame(axes: Axes, comparison: Comparison, image: ImageArray | None, shown: 
     return scale
 
 
-def _deep_frame(axes: Axes3D, comparison: Comparison) -> float:
+def _deep_frame(axes: "Axes3D", comparison: Comparison) -> float:
     scale, unit = _length_unit(comparison)
     every = np.concatenate([comparison.observed[comparison.seen], comparison.simulated]) * scale
     low, high = np.nanmin(every, axis=0), np.nanmax(every, axis=0)
@@ -512,14 +510,14 @@ def _known(comparison: Comparison) -> BoolArray:
     )
 
 
-def _mark(axes: Axes, comparison: Comparison, scale: float, shown: CloseUp | None = None) -> float:
+def _mark(axes: "Axes", comparison: Comparison, scale: float, shown: CloseUp | None = None) -> float:
     """Area [points^2] of a mark that half fills the space between particles in a picture some 4 inches wide."""
     (x0, x1), (y0, y1) = axes.get_xlim(), axes.get_ylim()
     inch = spacing_of(comparison.rest) * scale / max(abs(x1 - x0) / 4.2, abs(y1 - y0) / 3.2)
     return float(np.clip((0.42 * 72.0 * inch) ** 2, 4.0, 110.0))
 
 
-def _legend_below(axes: Axes) -> None:
+def _legend_below(axes: "Axes") -> None:
     axes.legend(
         fontsize=9, loc="upper center", bbox_to_anchor=(0.5, 0.0), borderaxespad=3.9, ncols=5, frameon=False,
         handletextpad=0.3,

@@ -3,8 +3,6 @@
 The same drawings go into recordings and into the picture of a result. Lengths on the axes are in cm, in the surface
 frame; touches are numbered from 1, in their order."""
 
-from __future__ import annotations
-
 import functools
 import math
 import textwrap
@@ -94,7 +92,7 @@ def draw_map(quantity: str, maps: MapEstimate) -> DrawnMap:
     """Draw one of `MAP_DRAWINGS`."""
     images: list[Any] = []
 
-    def draw(axes: Axes) -> None:
+    def draw(axes: "Axes") -> None:
         MAP_DRAWINGS[quantity](axes, maps)
         images.extend(axes.images)
 
@@ -130,7 +128,7 @@ def result_png(maps: MapEstimate, title: str = "", found: InclusionsResult | Non
 # One drawing a quantity ----------------------------------------------------------------------------------------------
 
 
-def draw_stiffness(axes: Axes, maps: MapEstimate, *, path: bool = False) -> None:
+def draw_stiffness(axes: "Axes", maps: MapEstimate, *, path: bool = False) -> None:
     from matplotlib.colors import LogNorm
 
     low, high = stiffness_range(maps.stiffness_n_per_mm)
@@ -139,14 +137,14 @@ def draw_stiffness(axes: Axes, maps: MapEstimate, *, path: bool = False) -> None
     _draw_contacts(axes, maps.contacts_m, maps.tip_radius_m, path=path)
 
 
-def draw_stiffness_deviation(axes: Axes, maps: MapEstimate) -> None:
+def draw_stiffness_deviation(axes: "Axes", maps: MapEstimate) -> None:
     percent = 100.0 * np.expm1(maps.stiffness_log_sd)
     _draw_map(axes, percent, maps.cell_m, DEVIATION, "[%]", low=0.0, high=_round_up(percent))
     _draw_contacts(axes, maps.contacts_m, maps.tip_radius_m)
     _title(axes, "Deviation of the stiffness", "one standard deviation upwards")
 
 
-def draw_beta(axes: Axes, maps: MapEstimate) -> None:
+def draw_beta(axes: "Axes", maps: MapEstimate) -> None:
     _title(axes, "Beta", "shape parameter of the fitted model")
     if maps.beta is None:
         _say(axes, "no beta yet", maps.labels.shape, maps.cell_m)
@@ -157,7 +155,7 @@ def draw_beta(axes: Axes, maps: MapEstimate) -> None:
     _draw_contacts(axes, maps.contacts_m, maps.tip_radius_m)
 
 
-def draw_beta_deviation(axes: Axes, maps: MapEstimate) -> None:
+def draw_beta_deviation(axes: "Axes", maps: MapEstimate) -> None:
     _title(axes, "Deviation of beta", "one standard deviation")
     if maps.beta_sd is None:
         _say(axes, "no beta yet", maps.labels.shape, maps.cell_m)
@@ -166,7 +164,7 @@ def draw_beta_deviation(axes: Axes, maps: MapEstimate) -> None:
     _draw_contacts(axes, maps.contacts_m, maps.tip_radius_m)
 
 
-def draw_regions(axes: Axes, maps: MapEstimate) -> None:
+def draw_regions(axes: "Axes", maps: MapEstimate) -> None:
     if not maps.region_count:
         _title(axes, "No regions", f"the {maps.mapped} changes smoothly (probability {maps.probability:.2f})")
         _say(axes, "", maps.labels.shape, maps.cell_m)
@@ -180,7 +178,7 @@ def draw_regions(axes: Axes, maps: MapEstimate) -> None:
     _title(axes, f"{format_verdict(maps)} found", f"{format_claim(maps.claimed)}; the paler, the less certain")
 
 
-def draw_truth(axes: Axes, maps: MapEstimate) -> None:
+def draw_truth(axes: "Axes", maps: MapEstimate) -> None:
     if maps.truth_labels is None:
         _title(axes, "Truth", "")
         _say(axes, "not known", maps.labels.shape, maps.cell_m)
@@ -194,7 +192,7 @@ def draw_truth(axes: Axes, maps: MapEstimate) -> None:
     _title(axes, f"Truth: {counted(len(np.unique(truth)), 'region')}", f"{score}line: as found")
 
 
-def draw_inclusions(axes: Axes, found: InclusionsResult) -> None:
+def draw_inclusions(axes: "Axes", found: InclusionsResult) -> None:
     from matplotlib.patches import Circle
 
     _draw_map(axes, 100.0 * found.covered, found.cell_m, GAIN, "[%]", low=0.0, high=100.0)
@@ -209,7 +207,7 @@ def draw_inclusions(axes: Axes, found: InclusionsResult) -> None:
     _title(axes, format_inclusions(found).capitalize(), words)
 
 
-def draw_miss_probability(axes: Axes, found: InclusionsResult) -> None:
+def draw_miss_probability(axes: "Axes", found: InclusionsResult) -> None:
     names = [f"{100.0 * radius:.3g}" for radius in found.size_m]
     wanted = found.size_m >= found.smallest_m
     axes.bar(names, 100.0 * found.missed, color=np.where(wanted, REGIONS[5], EXCLUDED))
@@ -220,7 +218,7 @@ def draw_miss_probability(axes: Axes, found: InclusionsResult) -> None:
     _title(axes, "A missed inclusion", words)
 
 
-def draw_gain(axes: Axes, plan: PlannedTouch, cell_m: float, contacts_m: FloatArray | None = None) -> None:
+def draw_gain(axes: "Axes", plan: PlannedTouch, cell_m: float, contacts_m: FloatArray | None = None) -> None:
     if plan.gain is not None:
         open_gain = np.where(plan.excluded, np.nan, plan.gain)
         unit = "[-]" if plan.gain_unit is None else f"[{plan.gain_unit.replace('label', 'share of the map corrected')}]"
@@ -241,7 +239,7 @@ def draw_gain(axes: Axes, plan: PlannedTouch, cell_m: float, contacts_m: FloatAr
         _title(axes, "No further touch", format_stop(plan.stop_reason) if plan.stop_reason else plan.reason)
 
 
-def draw_height(axes: Axes, surface: SurfaceEstimate) -> None:
+def draw_height(axes: "Axes", surface: SurfaceEstimate) -> None:
     height_mm = surface.height_m * 1e3
     low, high = float(height_mm.min()), float(height_mm.max())
     more = max(0.5 * (LEAST_RANGE_MM - (high - low)), 0.0)
@@ -251,7 +249,7 @@ def draw_height(axes: Axes, surface: SurfaceEstimate) -> None:
     _title(axes, "Height of the surface", "lines: one standard deviation")
 
 
-def draw_force(axes: Axes, touch: TouchEstimate, name: str = "") -> None:
+def draw_force(axes: "Axes", touch: TouchEstimate, name: str = "") -> None:
     name = name or f"Touch {touch.number}"
     if not touch.usable:
         _title(axes, f"{name}: {touch.stiffness_text}", f"{touch.dent_text}; {touch.beta_text}")
@@ -277,7 +275,7 @@ def draw_force(axes: Axes, touch: TouchEstimate, name: str = "") -> None:
     _title(axes, f"{name}: {touch.stiffness_text}", to_line(touch, "caption"))
 
 
-def draw_section(axes: Axes, touch: TouchEstimate) -> None:
+def draw_section(axes: "Axes", touch: TouchEstimate) -> None:
     for color, name, points in (
         (hexadecimal(OBSERVED), "observed", touch.observed_m),
         (hexadecimal(SIMULATED), "simulated", _near(touch.simulated_m, touch.xyz_m)),
@@ -305,7 +303,7 @@ def draw_section(axes: Axes, touch: TouchEstimate) -> None:
     axes.legend(fontsize=10, loc="lower right", frameon=False)
 
 
-def draw_error(axes: Axes, perception: TouchPerception) -> None:
+def draw_error(axes: "Axes", perception: TouchPerception) -> None:
     name = f"E(beta) of touch {perception.number}"
     if perception.error is None or perception.estimate is None:
         _title(axes, name, "")
@@ -334,7 +332,7 @@ def _rings(away_cm: FloatArray, height_mm: FloatArray) -> tuple[FloatArray, Floa
     return away, height
 
 
-def draw_region_comparison(axes: Axes, recorded: MapEstimate, other: MapEstimate, name: str) -> None:
+def draw_region_comparison(axes: "Axes", recorded: MapEstimate, other: MapEstimate, name: str) -> None:
     from matplotlib.lines import Line2D
 
     sides = ((recorded, RECORDED, 4.0, "recorded"), (other, OTHER, 1.4, name))  # seen both, where they are the same
@@ -351,7 +349,7 @@ def draw_region_comparison(axes: Axes, recorded: MapEstimate, other: MapEstimate
 
 
 def draw_touch_comparison(
-    axes: Axes, quantity: str, recorded: Sequence[TouchEstimate], other: Sequence[TouchEstimate], name: str
+    axes: "Axes", quantity: str, recorded: Sequence[TouchEstimate], other: Sequence[TouchEstimate], name: str
 ) -> None:
     from matplotlib.ticker import MaxNLocator
 
@@ -372,7 +370,7 @@ def draw_touch_comparison(
     axes.grid(alpha=0.3)
 
 
-def _legend_above(axes: Axes, title: str, handles: Sequence[Any]) -> None:
+def _legend_above(axes: "Axes", title: str, handles: Sequence[Any]) -> None:
     """Names of the drawn items, below a title and above the axes."""
     names = [textwrap.fill(handle.get_label(), 46) for handle in handles]
     above: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (-0.03, 1.0), "frameon": False, "alignment": "left"}
@@ -391,7 +389,7 @@ def _with_interval(touch: TouchEstimate, quantity: str) -> tuple[float, float, f
 
 
 FIELDS = ("stiffness", "stiffness_deviation", "beta", "beta_deviation")
-MAP_DRAWINGS: dict[str, Callable[[Axes, MapEstimate], None]] = {
+MAP_DRAWINGS: "dict[str, Callable[[Axes, MapEstimate], None]]" = {
     "stiffness": draw_stiffness,
     "stiffness_deviation": draw_stiffness_deviation,
     "beta": draw_beta,
@@ -424,7 +422,7 @@ def _round_up(values: FloatArray) -> float:
 
 
 def _draw_map(
-    axes: Axes,
+    axes: "Axes",
     values: FloatArray,
     cell_m: float,
     colors: str,
@@ -456,7 +454,7 @@ def _draw_map(
         _number_log_bar(bar, norm.vmin, norm.vmax)
 
 
-def _number_log_bar(bar: Colorbar, low: float, high: float) -> None:
+def _number_log_bar(bar: "Colorbar", low: float, high: float) -> None:
     from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
     steps = (1.0, 2.0, 5.0) if high / low > 4 else (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
@@ -468,7 +466,7 @@ def _number_log_bar(bar: Colorbar, low: float, high: float) -> None:
     bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 
 
-def _draw_levels(axes: Axes, values: FloatArray, cell_m: float, unit: str) -> None:
+def _draw_levels(axes: "Axes", values: FloatArray, cell_m: float, unit: str) -> None:
     """Draw three lines of equal value over a map (rows, columns)."""
     if not float(np.nanmax(values) - np.nanmin(values)) > 0:
         return
@@ -478,7 +476,7 @@ def _draw_levels(axes: Axes, values: FloatArray, cell_m: float, unit: str) -> No
     axes.clabel(lines, fmt=lambda value: f"{value:g} {unit}", fontsize=8)
 
 
-def _draw_labels(axes: Axes, tints: FloatArray, sure: FloatArray, cell_m: float) -> None:
+def _draw_labels(axes: "Axes", tints: FloatArray, sure: FloatArray, cell_m: float) -> None:
     """Draw labels in their colours (rows, columns, 3), paler where less sure (rows, columns)."""
     blended = 1.0 + (tints - 1.0) * sure[..., None]
     axes.imshow(blended, origin="lower", extent=_extent(sure.shape, cell_m), interpolation="nearest")
@@ -512,7 +510,7 @@ def _matched(truth: IntArray, found: IntArray) -> IntArray:
     return renamed
 
 
-def _draw_outline(axes: Axes, labels: IntArray, cell_m: float, color: str, width: float = 1.4) -> None:
+def _draw_outline(axes: "Axes", labels: IntArray, cell_m: float, color: str, width: float = 1.4) -> None:
     """Draw lines between cells of different labels (rows, columns), along the cells' edges."""
     from matplotlib.collections import LineCollection
 
@@ -529,7 +527,7 @@ def region_edges(labels: IntArray, cell_m: float) -> FloatArray:
     return np.concatenate([upright, level]) * cell_m
 
 
-def _draw_contacts(axes: Axes, contacts_m: FloatArray, tip_radius_m: float, *, path: bool = False) -> None:
+def _draw_contacts(axes: "Axes", contacts_m: FloatArray, tip_radius_m: float, *, path: bool = False) -> None:
     """Touches in their order; the circle is the tip's size."""
     from matplotlib.collections import EllipseCollection
     from matplotlib.patheffects import withStroke
@@ -563,7 +561,7 @@ def _draw_contacts(axes: Axes, contacts_m: FloatArray, tip_radius_m: float, *, p
         )  # fmt: skip
 
 
-def _draw_excluded(axes: Axes, excluded: BoolArray, cell_m: float) -> None:
+def _draw_excluded(axes: "Axes", excluded: BoolArray, cell_m: float) -> None:
     """Draw the excluded cells (rows, columns) grey with stripes, crisp at the cells' edges."""
     from matplotlib.colors import to_rgb
 
@@ -577,7 +575,7 @@ def _draw_excluded(axes: Axes, excluded: BoolArray, cell_m: float) -> None:
     axes.imshow(drawn, origin="lower", extent=_extent(excluded.shape, cell_m), interpolation="nearest", zorder=2)
 
 
-def _draw_keys(axes: Axes, maps: MapEstimate) -> None:
+def _draw_keys(axes: "Axes", maps: MapEstimate) -> None:
     """Each region's number and stiffness, in its place within the axes."""
     from matplotlib.patheffects import withStroke
 
@@ -593,12 +591,12 @@ def _draw_keys(axes: Axes, maps: MapEstimate) -> None:
             text.set_position(_free_place(axes, text, inside, maps))
 
 
-def _free_place(axes: Axes, text: Text, inside: BoolArray, maps: MapEstimate) -> tuple[float, float]:
+def _free_place(axes: "Axes", text: "Text", inside: BoolArray, maps: MapEstimate) -> tuple[float, float]:
     """Place [cm] of a text in its region (rows, columns): within the axes, over as little as possible of touches and
     their numbers, and as deep inside as that allows."""
     from scipy.ndimage import distance_transform_edt
 
-    def corners(one: Text) -> FloatArray:
+    def corners(one: "Text") -> FloatArray:
         return np.asarray(axes.transData.inverted().transform(one.get_window_extent().get_points()))
 
     half = np.ptp(corners(text), axis=0) / 2
@@ -617,13 +615,13 @@ def _extent(shape: tuple[int, ...], cell_m: float) -> tuple[float, float, float,
     return 0.0, shape[1] * cell_m * 100, 0.0, shape[0] * cell_m * 100
 
 
-def _label_axes(axes: Axes) -> None:
+def _label_axes(axes: "Axes") -> None:
     axes.set_xlabel("x [cm]", fontsize=10, labelpad=1)
     axes.set_ylabel("y [cm]", fontsize=10, labelpad=1)
     axes.tick_params(labelsize=10)
 
 
-def _say(axes: Axes, words: str, shape: tuple[int, ...] = (), cell_m: float = 0.0) -> None:
+def _say(axes: "Axes", words: str, shape: tuple[int, ...] = (), cell_m: float = 0.0) -> None:
     """Words where there is no map, on the same ground."""
     axes.set_facecolor("#eef0f3")
     axes.text(0.5, 0.5, words, transform=axes.transAxes, ha="center", va="center", fontsize=13, color="#70757d")
@@ -635,7 +633,7 @@ def _say(axes: Axes, words: str, shape: tuple[int, ...] = (), cell_m: float = 0.
         axes.set(xticks=[], yticks=[])
 
 
-def _title(axes: Axes, title: str, words: str) -> None:
+def _title(axes: "Axes", title: str, words: str) -> None:
     square = axes.get_aspect() == 1.0 and np.ptp(axes.get_xlim()) < 1.2 * np.ptp(axes.get_ylim())
     wrapped = textwrap.wrap(words, 42 if square else 52, break_on_hyphens=False)[:ROWS_OF_WORDS]
     axes.text(
@@ -657,7 +655,7 @@ def _headline(maps: MapEstimate) -> str:
 
 
 def _one(
-    draw: Callable[Concatenate[Axes, P], None],
+    draw: "Callable[Concatenate[Axes, P], None]",
     place: tuple[float, float, float, float],
     *given: P.args,
     **named: P.kwargs,
@@ -674,7 +672,7 @@ def _one(
 
 
 def _picture(
-    draw: Callable[Concatenate[Axes, P], None], place: tuple[float, float, float, float] = PLACE
+    draw: "Callable[Concatenate[Axes, P], None]", place: tuple[float, float, float, float] = PLACE
 ) -> Callable[P, bytes]:
     """The drawing as PNG, by a function that another process can be sent."""
     return functools.partial(_one, draw, place)

@@ -1,7 +1,5 @@
 """Figures as PNG, by matplotlib without a display; of them those of one array: optical flow, distributions."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Literal
@@ -27,7 +25,7 @@ LINES = ("-", "--", ":", "-.")
 
 def canvas(
     width: float, height: float, *, dpi: float | None = None, layout: Literal["constrained"] | None = None
-) -> Figure:
+) -> "Figure":
     """An empty figure [inch], drawn off screen on any display."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -37,7 +35,7 @@ def canvas(
     return made
 
 
-def png_of(drawn: Figure, dpi: int) -> bytes:
+def png_of(drawn: "Figure", dpi: int) -> bytes:
     """The same bytes for the same drawing."""
     encoded = io.BytesIO()
     drawn.savefig(encoded, format="png", dpi=dpi, metadata={"Software": None})
@@ -123,7 +121,7 @@ def dents_png(predictions: Sequence[Prediction], compared: Sequence[PokeComparis
         return png_of(figure, 130)
 
 
-def _draw(axes: Axes, found: Prediction, measured: PokeComparison | None) -> None:
+def _draw(axes: "Axes", found: Prediction, measured: PokeComparison | None) -> None:
     rest, moved = found.rest[found.surface], (found.position - found.rest)[found.surface]
     at = found.poke.at
     up = rest.shape[1] - 1

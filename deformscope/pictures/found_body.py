@@ -1,7 +1,5 @@
 """Where the body, what holds it and what pushes it are in the first image, as one picture."""
 
-from __future__ import annotations
-
 import textwrap
 
 import numpy as np

@@ -1,8 +1,6 @@
 """Pictures of a material's results from pairs and motions: beta with theta, beta along axes, fields, yielding; as
 PNG."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,7 +18,7 @@ if TYPE_CHECKING:
     from deformscope.stages.materials.yield_estimate import YieldEstimate
 
 
-def joint_png(found: JointEstimate) -> bytes:
+def joint_png(found: "JointEstimate") -> bytes:
     """The joint posterior of beta and theta as a map, with the values of lowest error."""
     assert found.beta.posterior is not None
     assert found.theta.posterior is not None
@@ -41,7 +39,7 @@ def joint_png(found: JointEstimate) -> bytes:
     return png_of(figure, 130)
 
 
-def axes_png(found: AxisEstimate) -> bytes:
+def axes_png(found: "AxisEstimate") -> bytes:
     """beta along each axis with its interval, and the one beta for all."""
     figure = canvas(5.2, 4.2, layout="constrained")
     axis = figure.subplots()
@@ -62,7 +60,7 @@ FIELD_LAYERS = 4
 """Most layers of a body in space that are drawn."""
 
 
-def field_png(found: FieldEstimate) -> bytes:
+def field_png(found: "FieldEstimate") -> bytes:
     """Maps of stiffness and of beta, each with the width of its interval; of a body in space, some of its layers."""
     from matplotlib.collections import PatchCollection
     from matplotlib.colors import LogNorm, Normalize
@@ -112,7 +110,7 @@ def field_png(found: FieldEstimate) -> bytes:
     return png_of(figure, 110)
 
 
-def yield_png(found: YieldEstimate, motion: Motion) -> bytes:
+def yield_png(found: "YieldEstimate", motion: "Motion") -> bytes:
     """The error over the yield strain with the interval, and the set that grows from frame to frame."""
     figure = canvas(11.0, 4.2, layout="constrained")
     left, right = figure.subplots(1, 2)
@@ -145,7 +143,7 @@ def yield_png(found: YieldEstimate, motion: Motion) -> bytes:
     return png_of(figure, 130)
 
 
-def recovery_png(found: RecoveryEstimate) -> bytes:
+def recovery_png(found: "RecoveryEstimate") -> bytes:
     """Displacement of the surface over time, and the recovery that was fitted after the release."""
     figure = canvas(7.2, 4.2, layout="constrained")
     axis = figure.subplots()

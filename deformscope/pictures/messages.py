@@ -1,7 +1,5 @@
 """Results as text: the same words and digits in the terminal, a notebook, recordings, pictures and reports."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from deformscope.pictures.report import Table

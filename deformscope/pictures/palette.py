@@ -1,7 +1,5 @@
 """Colours, scales and units that every view of a result shares: recordings, pictures and reports."""
 
-from __future__ import annotations
-
 import math
 
 import cv2

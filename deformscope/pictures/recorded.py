@@ -1,7 +1,5 @@
 """Content of a recording, over touches and over time, as PNG (as figures 2.4, 2.7, 4.5 to 4.7 of the thesis)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise

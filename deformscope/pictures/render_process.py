@@ -2,8 +2,6 @@
 
 Drawing needs Python's lock for a tenth of a second per picture, and the robot's control waits for that lock."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Executor

@@ -1,8 +1,6 @@
 """Results as texts, tables and pictures: for a terminal, a notebook, a recording; and as one HTML file, which needs no
 other."""
 
-from __future__ import annotations
-
 import base64
 import html
 from collections.abc import Iterable, Sequence

@@ -1,7 +1,5 @@
 """Measurements of a rig's set-up, as pictures: residuals, the offset of clocks, and the compliance of an arm."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

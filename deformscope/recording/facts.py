@@ -3,8 +3,6 @@
 python -m deformscope.recording.facts run.rrd [brief]    one line of JSON: the fields of `Facts`
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import re

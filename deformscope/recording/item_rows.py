@@ -1,7 +1,5 @@
 """Rows of a recording as the objects that were recorded, in order of time."""
 
-from __future__ import annotations
-
 import heapq
 import logging
 import re
@@ -31,7 +29,7 @@ Cells = dict[str, Any]
 class Chunked(Protocol):
     """A recording (`deformscope.recording.reader.Replay`)."""
 
-    def chunks(self, *contents: str) -> Iterator[Chunk]:
+    def chunks(self, *contents: str) -> "Iterator[Chunk]":
         """The portions of these entities, in any order."""
 
 
@@ -101,7 +99,7 @@ class Starts:
         heapq.heapify(self._coming)
         self._done: set[str] = set()
 
-    def after(self, chunk: Chunk) -> int | None:
+    def after(self, chunk: "Chunk") -> int | None:
         """Time before which no item follows after this portion [ns]; None = no item follows."""
         self._done.add(str(chunk.id))
         while self._coming and self._coming[0][1] in self._done:
@@ -109,7 +107,7 @@ class Starts:
         return self._coming[0][0] if self._coming else None
 
 
-def portions(replay: Chunked, kinds: Sequence[type], device: str | None = None) -> Iterator[tuple[Chunk, type, str]]:
+def portions(replay: Chunked, kinds: Sequence[type], device: str | None = None) -> "Iterator[tuple[Chunk, type, str]]":
     """The portions that hold parts of these kinds, in any order, with the kind and the device of each."""
     alone = {ENTITIES[kind]: kind for kind in kinds if kind in ENTITIES}
     of_devices = {OF_DEVICES[kind]: kind for kind in kinds if kind in OF_DEVICES}
@@ -123,12 +121,12 @@ def portions(replay: Chunked, kinds: Sequence[type], device: str | None = None) 
             yield chunk, kind, name
 
 
-def _times(chunk: Chunk) -> list[int]:
+def _times(chunk: "Chunk") -> list[int]:
     times: list[int] = chunk.to_record_batch().column("session").cast("int64").to_pylist()
     return times
 
 
-def _rows(chunk: Chunk, kind: type) -> Iterator[tuple[int, bytes, int, int, Cells]]:
+def _rows(chunk: "Chunk", kind: type) -> Iterator[tuple[int, bytes, int, int, Cells]]:
     """(time [ns], row id, touch, index, cells) of each row that has parts of an object of this kind."""
     batch = chunk.to_record_batch()
     names, nothing = batch.schema.names, [0] * batch.num_rows
@@ -140,7 +138,7 @@ def _rows(chunk: Chunk, kind: type) -> Iterator[tuple[int, bytes, int, int, Cell
     yield from (row for row in rows if row[-1])
 
 
-def objects_of(batch: RecordBatch, kind: type) -> Iterator[Cells]:
+def objects_of(batch: "RecordBatch", kind: type) -> Iterator[Cells]:
     """Parts of an object of this kind in each row."""
     columns = {field: _cells(batch.column(name)) for name in batch.schema.names if (field := _field_of(name, kind))}
     for row in range(batch.num_rows):
@@ -154,7 +152,7 @@ def _field_of(component: str, kind: type) -> str:
     return known.removeprefix(ours) if known.startswith(ours) else ""
 
 
-def _cells(column: ListArray) -> list[Any]:
+def _cells(column: "ListArray") -> list[Any]:
     """One array a row, or one list of words; None where there is nothing."""
     values, offsets = column.values, column.offsets.to_numpy()
     if str(values.type) == "string":

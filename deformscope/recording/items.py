@@ -1,7 +1,5 @@
 """Reads a recording: the objects that were recorded, in order of time."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path

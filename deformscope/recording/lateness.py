@@ -1,7 +1,5 @@
 """Limits of a slow recording: room on the disk, the disk, or the processor."""
 
-from __future__ import annotations
-
 import shutil
 import time
 from contextlib import suppress

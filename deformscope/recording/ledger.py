@@ -7,8 +7,6 @@ a line at each flush. Lines that mark the recording as discarded follow. The lin
 truncation before it is detected: size and SHA-256 of the whole, recorded and lost items, and what a recovered recording
 inherits: how its original differed from its own ledger. Without that line, the run was interrupted."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -1,7 +1,5 @@
 """The live view: a separate viewer and a thread that sends data to it; nothing else waits for them."""
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import os
@@ -113,7 +111,7 @@ _abandoned: list[object] = []
 
 def live_stream(
     application: str, recording_id: str, viewer: Viewer, properties: Mapping[str, object], give_up: threading.Event
-) -> LiveStream:
+) -> "LiveStream":
     """A stream that is connected to the viewer; blocks until the viewer answers."""
     import rerun as rr
 
@@ -139,7 +137,7 @@ def live_stream(
 
 def page_stream(
     application: str, recording_id: str, pieces: Pieces, properties: Mapping[str, object], give_up: threading.Event
-) -> LiveStream:
+) -> "LiveStream":
     """A stream for pages, which fetch their pieces when they are ready; lasting data are separate from transient
     data."""
     import rerun as rr

@@ -1,7 +1,5 @@
 """Which recording is being written: a lock on its file, held until the run ends, in whatever way."""
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import os

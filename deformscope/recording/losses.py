@@ -1,7 +1,5 @@
 """Losses of devices in a recording, by device: as numbers for files, and as text for people."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 

@@ -1,7 +1,5 @@
 """The outputs of a recording: its file, a live view, both or neither."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Protocol
@@ -29,18 +27,18 @@ class Outputs:
         self.feed: LiveFeed[LiveStream] | None = None
         self._costs: list[tuple[int, int | None, StageCost]] = []
 
-    def log(self, job: Callable[[rr.RecordingStream], None], size: int = 0) -> None:
+    def log(self, job: "Callable[[rr.RecordingStream], None]", size: int = 0) -> None:
         """Log to the file, and to the live view when it is ready. size: bytes that the job keeps alive"""
         if self.file is not None:
             self.file.log(job)
         self.show(lambda live: job(live.rec), size, lasting=True)
 
-    def send(self, batch: Batch, size: int) -> None:
+    def send(self, batch: "Batch", size: int) -> None:
         """Send encoded data; to the live view only those in one of its views."""
         self.keep(batch)
         self.show(lambda live: live.send(batch, lasting=True), size, lasting=True)
 
-    def keep(self, batch: Batch) -> None:
+    def keep(self, batch: "Batch") -> None:
         """Send a batch to the file only."""
         if self.file is not None:
             self.file.send(batch)
@@ -66,12 +64,12 @@ class Outputs:
             self.keep(prepare_costs(self._costs))
             self._costs = []
 
-    def show(self, job: Callable[[LiveStream], None], size: int, *, lasting: bool = False) -> None:
+    def show(self, job: "Callable[[LiveStream], None]", size: int, *, lasting: bool = False) -> None:
         """Log to the live view only. lasting: dropped last if the viewer is too slow"""
         if self.feed is not None:
             self.feed.put(job, size, lasting=lasting)
 
-    def lay_out(self, views: rr.blueprint.Blueprint, shown: rr.blueprint.Blueprint) -> None:
+    def lay_out(self, views: "rr.blueprint.Blueprint", shown: "rr.blueprint.Blueprint") -> None:
         """Set the views of the file, and those of the window or page."""
         if self.file is not None:
             self.file.log(lambda rec: rec.send_blueprint(views))

@@ -1,8 +1,6 @@
 """What is recorded, prepared for rerun: images and results over them or over particles; device items, and the results
 of an experiment or of stages that run meanwhile."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -79,7 +77,7 @@ class PictureEncoder:
         if canvas != Canvas():
             self._arrange(canvas)
 
-        def log(rec: rr.RecordingStream) -> None:
+        def log(rec: "rr.RecordingStream") -> None:
             frame, session_ns = times
             rec.set_time("frame", sequence=frame)
             rec.set_time("session", duration=np.timedelta64(session_ns, "ns"))
@@ -109,7 +107,7 @@ class PictureEncoder:
             raise ValueError(f"a step belongs to frame {frame}, which was never written")
         return frame, self._session_ns.get(frame, 0)
 
-    def _arrange(self, canvas: Canvas) -> None:
+    def _arrange(self, canvas: "Canvas") -> None:
         """Send the views, once."""
         if self._layout is not None:
             from deformscope.log.blueprint import blueprint
@@ -118,7 +116,7 @@ class PictureEncoder:
             self._outputs.log(lambda rec: rec.send_blueprint(views))
 
 
-def _send(prepare: Callable[..., Batch], live: LiveStream) -> None:
+def _send(prepare: "Callable[..., Batch]", live: "LiveStream") -> None:
     live.send(prepare(lossless=False))
 
 
@@ -213,10 +211,10 @@ class DeviceEncoder:
             results, self._results = self._results, []
             self._outputs.keep(prepare_stage_results(results, self._start_ns, self._streams, self._latest))
 
-    def _place_of(self, touch: int) -> Place | None:
+    def _place_of(self, touch: int) -> "Place | None":
         return self._place(touch) if self._layout.by_touch else None
 
-    def _place(self, touch: int) -> Place:
+    def _place(self, touch: int) -> "Place":
         from deformscope.log.rig import Place
 
         return Place(touch, self._pictures_ns.all, start_ns=self._start_ns)

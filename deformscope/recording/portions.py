@@ -1,7 +1,5 @@
 """Device items, gathered into portions: writing has a cost for each portion, and little for each item."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import time

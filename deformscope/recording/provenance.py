@@ -1,7 +1,5 @@
 """Provenance of a result: format, settings, versions, git state, command line, machine."""
 
-from __future__ import annotations
-
 import functools
 import importlib.metadata
 import json

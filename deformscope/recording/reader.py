@@ -1,7 +1,5 @@
 """A recording as a source: its frames, stamps and settings are equal to those of its run, bit for bit."""
 
-from __future__ import annotations
-
 import json
 import logging
 import re
@@ -222,7 +220,7 @@ class Replay:
         if check.source_problems:
             _logger.warning("%s: %s", self.path, inherited(check.source_problems))
 
-    def _reader(self) -> RrdReader:
+    def _reader(self) -> "RrdReader":
         from rerun.chunk import RrdReader
 
         with warnings.catch_warnings():
@@ -230,7 +228,7 @@ class Replay:
             warnings.filterwarnings("ignore", "RRD file has no footer")
             return RrdReader(utf8_path(self.path))
 
-    def chunks(self, *contents: str) -> Iterator[Chunk]:
+    def chunks(self, *contents: str) -> "Iterator[Chunk]":
         """The portions of these entities, in any order."""
         reader = self._reader()
         store = next(entry for entry in reader.recordings() if _ours(entry.application_id))

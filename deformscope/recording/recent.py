@@ -3,8 +3,6 @@
 Its recording is like any other. Such a recording begins with the devices' health, and counts their losses from then: it
 has neither readings nor losses of an earlier time."""
 
-from __future__ import annotations
-
 import logging
 import threading
 from collections import deque

@@ -5,8 +5,6 @@ or when its subject was stopped and the recording holds that (`stopped_because`)
 leaves this file with all its data (after a crash without the last moments). An existing `NAME.rrd` is not changed. An
 unfinished recording is never overwritten."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import os
@@ -128,11 +126,11 @@ class Recorder:
         return tuple(self._not_shown)
 
     @property
-    def page(self) -> PageServer | None:
+    def page(self) -> "PageServer | None":
         """The page that shows the recording."""
         return self._page
 
-    def __enter__(self) -> Recorder:
+    def __enter__(self) -> "Recorder":
         if self.active:
             if self._target is not None:
                 self._target.reserve()
@@ -161,7 +159,7 @@ class Recorder:
             return
         from deformscope.log.rig import log_streams
 
-        def log_start(rec: rr.RecordingStream) -> None:
+        def log_start(rec: "rr.RecordingStream") -> None:
             log_streams(rec, layout.streams)
             layout.log_start(rec)
 
@@ -272,7 +270,7 @@ class Recorder:
         self._writer.start()
         self._lateness = Lateness(BACKLOG_BYTES // LATE, self._writer.thread_id)
 
-    def _opened_view(self, recording_id: str, properties: Mapping[str, object]) -> LiveFeed[LiveStream]:
+    def _opened_view(self, recording_id: str, properties: Mapping[str, object]) -> "LiveFeed[LiveStream]":
         """A window, or a page, and its feed."""
         if self._viewer_kind == "native":
             viewer = start_viewer()

@@ -6,8 +6,6 @@ of a rig's recording), and a viewer reads a file of many portions slowly. `NAME.
 hundredth of the portions, with a footer: it becomes the recording at the end. It is optional: if it fails, or the disk
 is short, it is left out, and the recording is the first file."""
 
-from __future__ import annotations
-
 import json
 import logging
 import os
@@ -30,7 +28,6 @@ if TYPE_CHECKING:
     import rerun as rr
     from rerun.chunk import Chunk
 
-    from deformscope.log.merged import Merged
     from deformscope.log.rig import Batch
 
 BEAT_S = 0.15
@@ -98,12 +95,12 @@ class RecordingFile:
             ledger_path(part).unlink(missing_ok=True)
             raise
 
-    def log(self, job: Callable[[rr.RecordingStream], None]) -> None:
+    def log(self, job: "Callable[[rr.RecordingStream], None]") -> None:
         """Call a method of the stream, sometimes after a check of the disk."""
         self.beat()
         self._log(job)
 
-    def send(self, batch: Batch) -> None:
+    def send(self, batch: "Batch") -> None:
         """Send encoded data, with a check of the disk."""
         from rerun.chunk import Chunk
 
@@ -190,7 +187,7 @@ class RecordingFile:
             _warn_that_it_stays_small("a file is incomplete")
         return self.path
 
-    def _note(self, part: Chunk) -> int:
+    def _note(self, part: "Chunk") -> int:
         """Note of which stream and time a portion is, for the ledger; its bytes."""
         batch = part.to_record_batch()
         if "session" in batch.schema.names and batch.num_rows:
@@ -208,17 +205,17 @@ class RecordingFile:
         self._ledger.commit(self.path.stat().st_size, tuple(self._given), span_s)
         self._given = {}
 
-    def _log(self, job: Callable[[rr.RecordingStream], None]) -> None:
+    def _log(self, job: "Callable[[rr.RecordingStream], None]") -> None:
         streams = [self._stream] if self._merged_stream is None else [self._stream, self._merged_stream]
         job(cast("rr.RecordingStream", _Each(streams)))
 
-    def _flush_merged(self, merged: rr.RecordingStream) -> None:
+    def _flush_merged(self, merged: "rr.RecordingStream") -> None:
         try:
             merged.flush(timeout_sec=FLUSH_TIMEOUT_S)
         except Exception as error:
             self._do_without_merged(merged, str(error))
 
-    def _do_without_merged(self, merged: rr.RecordingStream, reason: str) -> None:
+    def _do_without_merged(self, merged: "rr.RecordingStream", reason: str) -> None:
         self._merged_stream = None
         if not within(merged.disconnect, 2.0):
             leave_streams_alone()
@@ -241,7 +238,7 @@ def _warn_that_it_stays_small(reason: str) -> None:
 class _Each:
     """Every call on it is a call on each stream: the result of a job's function is computed once."""
 
-    def __init__(self, streams: Sequence[rr.RecordingStream]) -> None:
+    def __init__(self, streams: "Sequence[rr.RecordingStream]") -> None:
         self._streams = streams
 
     def __getattr__(self, name: str) -> Callable[..., None]:
@@ -256,7 +253,7 @@ class _Each:
 
 def _stream(
     application: str, recording_id: str, path: Path, deterministic: bool, *, footer: bool
-) -> rr.RecordingStream:
+) -> "rr.RecordingStream":
     import rerun as rr
 
     if deterministic:

@@ -4,8 +4,6 @@ The last 32 bytes are offset and length of the footer (uint64), its checksum (ui
 footer is a protobuf message of manifests (field 1), one for each store. Field 4 of each holds its table of portions
 (length of the plain bytes in field 4, an Arrow IPC stream, compressed by LZ4, in field 2)."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass

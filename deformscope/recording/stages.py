@@ -1,7 +1,5 @@
 """Which stages of computation a recording holds, counted by rerun's own reader."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter, defaultdict
 from dataclasses import dataclass, field

@@ -4,8 +4,6 @@ A column's unit is in its name and in its metadata (`unit`). Vectors are separat
 an interval `NAME_low` and `NAME_high`; values without a fixed length are a list, with the shape of an array as another.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import logging
@@ -157,7 +155,7 @@ class RecordedStream:
         first, _, rest = self.entity.partition("/")
         return rest if first in (*OF_DEVICES.values(), "health") else ""
 
-    def see(self, chunk: Chunk, raw: pa.Table) -> None:
+    def see(self, chunk: "Chunk", raw: pa.Table) -> None:
         """Note the columns of a portion."""
         self.rows += raw.num_rows
         self.paths.add(chunk.entity_path)

@@ -1,7 +1,5 @@
 """One recording as a row of a catalog: its command, its end and its results, under the names of the JSON."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Iterator, Mapping

@@ -1,7 +1,5 @@
 """The name of a recording, and its unfinished file in the same folder until the end."""
 
-from __future__ import annotations
-
 import logging
 import os
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """A thread that does jobs in their order, so that the caller never waits for a disk."""
 
-from __future__ import annotations
-
 import threading
 from collections import deque
 from collections.abc import Callable

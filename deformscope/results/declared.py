@@ -11,8 +11,6 @@ A field has the declaration as its metadata, a property as its decorator:
 Quantities are rendered in the order in which they are declared (`deformscope.results.render`). Undeclared values are
 not reported, only recorded."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field

@@ -1,8 +1,6 @@
 """Renders results from their dataclasses' declarations: JSON and its units, rows of a table, a line of text, and
 cells of columns, by names that a filter can use."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Literal, cast

@@ -7,8 +7,6 @@ of readings so far that were equal to the one before. Drivers find complete read
 saturated: an axis or a texel at its largest count, an overload that the sensor itself reports, most of an image at its
 brightest or at black, a depth camera without any depth. The range of an arm is checked by its supervisor."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -62,7 +60,7 @@ class _Stretches:
     seen: Values
 
     @classmethod
-    def of(cls, first: Values, at_ns: int) -> _Stretches:
+    def of(cls, first: Values, at_ns: int) -> "_Stretches":
         nothing = np.zeros(len(first), np.int64)
         return cls(first, nothing + at_ns, nothing, nothing, nothing)
 

@@ -1,7 +1,5 @@
 """Recorded bytes decoded again, with the drivers' own decoders, and compared with the recorded frames."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Iterable, Sequence

@@ -1,7 +1,5 @@
 """The drivers that a rig can name, with their modules. Nothing here imports a driver before it is used."""
 
-from __future__ import annotations
-
 import importlib
 from dataclasses import dataclass
 from typing import Any

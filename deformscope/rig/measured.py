@@ -1,7 +1,5 @@
 """Converts each driver's measurements to frames: the only module that uses both."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -49,20 +47,20 @@ def describe(name: str, driver: Driver, device: Device[Any], *, simulated: bool)
     return frames.Stream(name, driver.kind, driver.name, simulated, who.serial, who.firmware, **known)
 
 
-def _color(reading: ColorImage, index: int, name: str, device: object) -> frames.Frame:
+def _color(reading: "ColorImage", index: int, name: str, device: object) -> frames.Frame:
     return frames.ColorFrame(reading.stamp, index, reading.image, name)
 
 
-def _depth(reading: DepthImage, index: int, name: str, device: object) -> frames.Frame:
+def _depth(reading: "DepthImage", index: int, name: str, device: object) -> frames.Frame:
     return frames.DepthFrame(reading.stamp, index, reading.depth, reading.unit_m, reading.color, name)
 
 
-def _tactile(reading: TactileReading, index: int, name: str, device: Dsa) -> frames.Frame:
+def _tactile(reading: "TactileReading", index: int, name: str, device: "Dsa") -> frames.Frame:
     counts = np.concatenate([pad.ravel() for pad in reading.pads])
     return frames.TactileFrame(reading.stamp, index, counts, tuple(device.pressure_pa(reading)), name)
 
 
-def _wrench(reading: ForceMeasurement, index: int, name: str, device: object) -> frames.Frame:
+def _wrench(reading: "ForceMeasurement", index: int, name: str, device: object) -> frames.Frame:
     counts = np.array(reading.counts, np.int64)
     known = reading.per_count is not None
     force_n = reading.force_n if known else np.full((len(counts), 3), np.nan)
@@ -72,7 +70,7 @@ def _wrench(reading: ForceMeasurement, index: int, name: str, device: object) ->
     )
 
 
-def _arm(reading: ArmState, index: int, name: str, device: object) -> frames.Frame:
+def _arm(reading: "ArmState", index: int, name: str, device: object) -> frames.Frame:
     force_n, torque_nm = np.array(reading.wrench[:3]), np.array(reading.wrench[3:])
     return frames.ArmFrame(
         stamp=reading.stamp,
@@ -90,14 +88,14 @@ def _arm(reading: ArmState, index: int, name: str, device: object) -> frames.Fra
     )
 
 
-def _hand(reading: HandReading, index: int, name: str, device: object) -> frames.Frame:
+def _hand(reading: "HandReading", index: int, name: str, device: object) -> frames.Frame:
     temperature_c = np.full(9, np.nan) if reading.temperature_c is None else np.array(reading.temperature_c)
     states = tuple(state.name.lower() for state in reading.state)
     position_deg, velocity_deg_s = np.array(reading.position_deg), np.array(reading.velocity_deg_s)
     return frames.HandFrame(reading.stamp, index, position_deg, velocity_deg_s, temperature_c, states, name)
 
 
-def _of_tactile(device: Dsa) -> dict[str, Any]:
+def _of_tactile(device: "Dsa") -> dict[str, Any]:
     pads = tuple(
         frames.Pad(
             pad.name,

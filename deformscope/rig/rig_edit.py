@@ -3,8 +3,6 @@
 The text is changed line by line, then read again: all values that were not edited must be unchanged.
 Otherwise no file is written, and the user has to insert the lines."""
 
-from __future__ import annotations
-
 import datetime
 import json
 import re

@@ -3,8 +3,6 @@
 TOML, read strictly: an unknown key is an error, because a limit with a typing mistake would be no limit. `lab:NAME`
 names a simulated rig that came with the installation."""
 
-from __future__ import annotations
-
 import dataclasses
 import difflib
 import os

@@ -1,7 +1,5 @@
 """Sections of a rig file: shapes of the robot, for its removal from images; hand, container and squeeze."""
 
-from __future__ import annotations
-
 import dataclasses
 import datetime
 import math
@@ -267,7 +265,7 @@ class CalibratedSection:
         check(abs(offset_s) <= LATEST_S, f"[calibrated.time] offset_s within {LATEST_S:g} s", offset_s)
         return {one if offset_s >= 0.0 else other: round(1e9 * abs(offset_s))}
 
-    def ages(self, today: datetime.date | None = None) -> dict[str, CalibrationAge]:
+    def ages(self, today: datetime.date | None = None) -> "dict[str, CalibrationAge]":
         """How old each measured calibration is, by name."""
         now = today if today is not None else datetime.datetime.now(tz=datetime.UTC).date()
         found = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}

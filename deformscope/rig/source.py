@@ -1,7 +1,5 @@
 """A rig as a source: its devices opened together, and all their items since the last call, in order of time."""
 
-from __future__ import annotations
-
 import dataclasses
 import time
 from collections.abc import Callable, Sequence
@@ -76,7 +74,7 @@ class RigSource:
         self._opened: list[_Opened] = []
         self._health_at = 0.0
 
-    def __enter__(self) -> RigSource:
+    def __enter__(self) -> "RigSource":
         """Open all devices side by side; the first that fails closes them all. Raises InputError naming it."""
         self.start_ns = self._clock() - self.latest_ns
         for member in self._members:  # before they open, so that nothing is missed

@@ -1,7 +1,5 @@
 """Advice for a person after a stop of the robot, before it is started again."""
 
-from __future__ import annotations
-
 from deformscope.robot.fingertip_force import FingertipForce
 from deformscope.robot.robot import Robot
 from deformscope.robot.supervisor import Fault

@@ -3,8 +3,6 @@
 A person cannot control a force by hand. Therefore the tip goes down in steps, and the contact law is fitted to the
 measured heights. The supervisor checks every control period, whatever the person does."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A table of checks, each with its requirement and its finding, and the remedy of failed ones."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 HINTS = {

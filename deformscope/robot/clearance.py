@@ -3,8 +3,6 @@
 It replaces a function of the vendor's Cartesian mode, less accurately. Shapes of arms differ by one to two centimetres
 from capsules of one radius, which the margin covers."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from itertools import combinations

@@ -7,8 +7,6 @@
 A part belongs to a frame of the arm: 0 its base, i the link behind joint i, -1 its end. No file is read later: a
 recording contains the triangles."""
 
-from __future__ import annotations
-
 import base64
 import zlib
 from collections.abc import Mapping, Sequence
@@ -125,7 +123,7 @@ class RobotDescription:
         }
 
     @classmethod
-    def from_json(cls, given: Mapping[str, Any]) -> RobotDescription:
+    def from_json(cls, given: Mapping[str, Any]) -> "RobotDescription":
         """The reverse of `as_json`."""
         parts = [
             DescribedPart(one["frame"], Solid(_unpacked(one["vertices_m"], "<f4"), _unpacked(one["triangles"], "<u4")))

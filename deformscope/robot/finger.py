@@ -1,7 +1,5 @@
 """A finger presses the tip before a motion, if only the force at the tip guards the arm."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

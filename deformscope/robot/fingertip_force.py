@@ -1,7 +1,5 @@
 """A hand's tactile arrays as the force sensor of the arm that carries it, with the interface for `Robot`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 
@@ -54,7 +52,7 @@ class FingertipForce:
     def health(self) -> Health:
         return self._pads.health()
 
-    def readings(self) -> _Queue:
+    def readings(self) -> "_Queue":
         """Return all readings from now on."""
         return _Queue(self._pads.readings(), self._force)
 

@@ -5,8 +5,6 @@ An arm with joint torques detects a contact that its force sensor does not show;
 approach is slow enough to stop in time: during filter, reading, decision and braking, the force grows by stiffness
 times speed times that time."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from dataclasses import dataclass
@@ -65,7 +63,7 @@ class ForceAlone:
     currents: bool
 
     @classmethod
-    def of(cls, robot: Robot) -> ForceAlone:
+    def of(cls, robot: Robot) -> "ForceAlone":
         """Computed from the sensor's filter and rate, the arm's cycle and compliance, and the supervisor's limits."""
         force, limits = robot.force.config, robot.supervisor.limits
         filtered_s = 1.0 / (2.0 * math.pi * force.filter_hz) if force.filter_hz else 0.0

@@ -3,8 +3,6 @@
 A press of a key moves one step. A key that is held repeats in every terminal: the motion then continues, and ends
 GRACE_S after the last repeat. So the release of a key, a terminal that hangs and a broken connection stop it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -3,8 +3,6 @@
 The supervisors are pure state machines: each control period calls them with readings and times. They are no safety
 function (no Python program is): the arm's emergency stop and a switch for the hand stay within reach."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum

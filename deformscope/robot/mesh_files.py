@@ -2,8 +2,6 @@
 
 python -m deformscope.robot.mesh_files whole|coarse FILE...    two arrays of each file (`numpy.save`) on stdout"""
 
-from __future__ import annotations
-
 import io
 import os
 import resource

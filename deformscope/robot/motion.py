@@ -3,8 +3,6 @@
 The arm receives joint rates, not its own Cartesian velocities: those use rotation in the end effector's frame, and that
 mode's behaviour near singularities and joint limits is not published. Therefore this module has these guards."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from dataclasses import dataclass

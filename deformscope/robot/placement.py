@@ -3,8 +3,6 @@
 The tip's frame has its z axis along the stick, outwards: a touch along the normal n has it at -n. Its origin is the
 *centre* of the tip: of the sphere for a round tip, of the face for a flat one."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable, Sequence

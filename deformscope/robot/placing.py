@@ -3,8 +3,6 @@
 Frames: the table's frame (z = 0 on it, upwards) is the surface frame of `Placement`. Its tip is the middle between the
 pads in the hand's orientation (`hand_tool`)."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

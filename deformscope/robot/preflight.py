@@ -1,7 +1,5 @@
 """Requirements before the robot moves: a table of checks, each with its requirement and its finding."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """Readings of the robot's devices in one control period."""
 
-from __future__ import annotations
-
 from collections.abc import Hashable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -34,7 +32,7 @@ class ForceSample:
     sensor_n: FloatArray = field(default_factory=lambda: np.zeros(3))
 
     @classmethod
-    def of(cls, reading: ForceMeasurement, tare_n: FloatArray) -> ForceSample:
+    def of(cls, reading: "ForceMeasurement", tare_n: FloatArray) -> "ForceSample":
         """Sample of the first channel of a driver's reading. tare_n: (3,) force in free air, which is subtracted [N]"""
         sensor_n, stamp = reading.force_n[0], reading.stamp
         ticks = -1 if stamp.device_ticks is None else stamp.device_ticks
@@ -57,7 +55,7 @@ class ArmSample:
     currents: tuple[float, ...] = ()
 
     @classmethod
-    def of(cls, state: ArmState) -> ArmSample:
+    def of(cls, state: ArmState) -> "ArmSample":
         """Sample of a driver's state; if that is not finite, the pose is nan."""
         finite = all(map(np.isfinite, (*state.position_m, *state.theta_rad)))
         pose = state.T_base_end_effector if finite else np.full((4, 4), np.nan)

@@ -2,8 +2,6 @@
 
 `rig_setup` makes a `Setup` from a rig file; a laboratory makes its own (`deformscope.lab.scene_lab`)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, field
@@ -222,7 +220,7 @@ class RigParts:
     described: RobotDescription = AS_CAPSULES
 
     @classmethod
-    def of(cls, rig: Rig) -> RigParts:
+    def of(cls, rig: Rig) -> "RigParts":
         devices = tuple(only_device(rig, kind) for kind in ROLES)
         force = devices[1]
         if not force.double and not force.config.sensitivities:

@@ -1,7 +1,5 @@
 """The grasp of a container: the hand's pre-shape, and its random place on the container."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -45,7 +43,7 @@ class GripShape:
         return 0.0, kinematics.FINGERS[0].base_m[1], self.reach_m
 
     @classmethod
-    def of(cls, container: ContainerSection, squeeze: SqueezeSection) -> GripShape:
+    def of(cls, container: ContainerSection, squeeze: SqueezeSection) -> "GripShape":
         """The pre-shape for a container of this width. Raises InputError if the fingers cannot close on it."""
         half_m = container.size_m[0] / 2 + PAD_M
         lean = (kinematics.BASE_SIDE_M / 2 - half_m) / kinematics.PROXIMAL_LINK_M

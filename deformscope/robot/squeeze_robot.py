@@ -2,8 +2,6 @@
 
 The same code runs on real devices, which have threads, and in a simulated laboratory; only `wait_until` differs."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

@@ -1,8 +1,6 @@
 """Devices for a squeeze, not yet opened: a hand, its tactile arrays, a depth camera and perhaps the arm that carries
 the hand; real ones or doubles. A laboratory passes its setup."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
@@ -79,7 +77,7 @@ class SqueezeParts:
     grasp: RandomGrasp
 
     @classmethod
-    def of(cls, rig: Rig, seed: int, place: str = "person") -> SqueezeParts:
+    def of(cls, rig: Rig, seed: int, place: str = "person") -> "SqueezeParts":
         """place: an arm's driver, or `person`. Raises InputError, which names missing or contradictory keys."""
         cameras = any(entry.driver.kind == "depth" for entry in rig.devices)
         carried, use = rig.hand.T_arm_hand is not None, "to squeeze with"

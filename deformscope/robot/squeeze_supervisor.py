@@ -2,8 +2,6 @@
 
 The first fault is latched (`latch`)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import StrEnum
 

@@ -2,8 +2,6 @@
 
 `BACK_OFF` and `STOP` last until `acknowledge`, and `STOP` replaces `BACK_OFF` (`latch`)."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from dataclasses import dataclass
@@ -124,7 +122,7 @@ class Limits:
             raise InputError("turn_deg_s, tilt_deg and joint_margin_deg above 0", f"{angles}")
 
     @classmethod
-    def of(cls, workspace: Workspace, camera_hz: float = 30.0) -> Limits:
+    def of(cls, workspace: Workspace, camera_hz: float = 30.0) -> "Limits":
         """The limits of a rig file's [workspace]. camera_hz: rate of the camera's images"""
         standard, silent_s, frozen_s = cls(), workspace.camera_silent_s, workspace.arm_frozen_s
         return cls(

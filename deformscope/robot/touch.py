@@ -4,8 +4,6 @@ A state machine that is stepped once in a control period: its input are forces a
 velocity. Near contact the control is hybrid (Raibert and Craig 1981): force along the normal, position or force
 across it."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections import deque
@@ -153,7 +151,7 @@ class TouchPlan:
         if not 0 < self.slow_within_m <= self.standoff_m:
             raise InputError("0 < slow_within_m <= standoff_m", f"{self.slow_within_m}, {self.standoff_m}")
 
-    def no_faster(self, contact_speed_m_s: float, travel_speed_m_s: float) -> TouchPlan:
+    def no_faster(self, contact_speed_m_s: float, travel_speed_m_s: float) -> "TouchPlan":
         """The touch with speed limits [m/s]: near the surface and in contact, and elsewhere."""
         return dataclasses.replace(
             self,
@@ -162,7 +160,7 @@ class TouchPlan:
             travel_speed_m_s=min(self.travel_speed_m_s, travel_speed_m_s),
         )
 
-    def slowed_for(self, alone: ForceAlone) -> TouchPlan:
+    def slowed_for(self, alone: ForceAlone) -> "TouchPlan":
         """The same touch, no faster and no farther down than an arm may go that only its force sensor guards. It
         presses more only where even something rigid would not be at the hard stop then."""
         slower = self.no_faster(alone.speed_m_s(CONTACT_SHARE), self.travel_speed_m_s)
@@ -448,7 +446,7 @@ def run_touch(
     return carried_out(TouchRun(robot, plan, on_phase), robot, still_seen)
 
 
-def carried_out(run: TouchRun, robot: Robot, still_seen: Callable[[], bool]) -> TouchRecord:
+def carried_out(run: "TouchRun", robot: Robot, still_seen: Callable[[], bool]) -> TouchRecord:
     """Travel, take the tare and touch; arguments, result and errors as in `run_touch`."""
     try:
         run.travel()

@@ -1,7 +1,5 @@
 """Paths through free air, as a sequence of velocities; the supervisor checks every control period."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -2,8 +2,6 @@
 
 A URDF is an untrusted file: it is read without entities, and its meshes only from folders below its package."""
 
-from __future__ import annotations
-
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping

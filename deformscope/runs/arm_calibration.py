@@ -1,7 +1,5 @@
 """`deformscope calibrate arm`: touch something rigid, and write the arm's compliance into the rig file."""
 
-from __future__ import annotations
-
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -38,14 +36,14 @@ if TYPE_CHECKING:
     from deformscope.recording.recorder import Recorder
 
 
-def opening_of(config: ArmConfig) -> Opening:
+def opening_of(config: "ArmConfig") -> Opening:
     """The devices, not opened, and the options of their touches. Raises the errors of `setup_of`."""
     options = ExploreOptions(budget=config.touches, beta_model="none", seed=config.output.seed)
     return setup_of(config.rig, options, config.set_force, trusted=config.trust_rig)
 
 
 def calibrate_arm(
-    config: ArmConfig, opening: Opening, recording: AbstractContextManager[Recorder]
+    config: "ArmConfig", opening: Opening, recording: "AbstractContextManager[Recorder]"
 ) -> RigCalibrationResult:
     """Touch a rigid block several times, and write the compliance into the rig file unless --no-write is given."""
     setup, options = opening.setup, opening.options

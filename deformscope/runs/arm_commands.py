@@ -1,7 +1,5 @@
 """`deformscope arm where`, `home`, `go` and `jog`."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -58,7 +56,7 @@ class WhereArm:
     tip_surface_m: FloatArray | None
 
 
-def where(config: WhereConfig) -> WhereArm:
+def where(config: "WhereConfig") -> WhereArm:
     """Pose of a rig's arm."""
     with _arm_of(config.rig, trusted=config.trust_rig) as (arm, placement):
         state = arm.next(5.0)
@@ -78,7 +76,7 @@ def where(config: WhereConfig) -> WhereArm:
         )
 
 
-def home(config: HomeConfig) -> None:
+def home(config: "HomeConfig") -> None:
     """Send the arm home; the end of the command stops it. Raises InputError for an arm without a home pose."""
     with until_interrupted() as asked, _arm_of(config.rig, trusted=config.trust_rig) as (arm, _):
         if not arm.goes_home:
@@ -117,10 +115,10 @@ def _arm_of(name: str, *, trusted: bool) -> Iterator[tuple[Any, Placement | None
 
 
 def go(
-    config: MovingOptions,
+    config: "MovingOptions",
     above: tuple[float, float] | None,
     height_m: float,
-    recording: AbstractContextManager[Recorder],
+    recording: "AbstractContextManager[Recorder]",
 ) -> FloatArray:
     """Bring the tip over a place (x, y) [m] at a height [m]; returns the final place (3,) of its centre, surface frame
     [m]."""
@@ -136,7 +134,7 @@ def go(
     return _moved(config, recording, work, ("plan", "arm: reach"))
 
 
-def jog(config: MovingOptions, recording: AbstractContextManager[Recorder], keys: Keys | None = None) -> FloatArray:
+def jog(config: "MovingOptions", recording: "AbstractContextManager[Recorder]", keys: Keys | None = None) -> FloatArray:
     """Move the tip by keys until the person leaves; returns the final place (3,) of its centre, surface frame [m].
     keys: default: the terminal's keys"""
 
@@ -173,8 +171,8 @@ class _Moved:
 
 
 def _moved(
-    config: MovingOptions,
-    recording: AbstractContextManager[Recorder],
+    config: "MovingOptions",
+    recording: "AbstractContextManager[Recorder]",
     work: Callable[[Robot, Setup], None],
     leave_out: tuple[str, ...],
 ) -> FloatArray:
@@ -199,7 +197,7 @@ def _moved(
 
 
 def _carried_out(
-    config: MovingOptions,
+    config: "MovingOptions",
     setup: Setup,
     robot: Robot,
     work: Callable[[Robot, Setup], None],

@@ -1,7 +1,5 @@
 """Beta or theta from images or pairs of shapes, in files, recordings, samples or arrays."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TypeAlias

@@ -1,7 +1,5 @@
 """Results of a calibration, outside a recording: the numbers as rows, and one HTML page."""
 
-from __future__ import annotations
-
 import datetime
 import shlex
 from collections.abc import Callable, Mapping, Sequence

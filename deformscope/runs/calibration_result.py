@@ -1,7 +1,5 @@
 """Result of a calibration of beta or theta."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """From measurements of a rig's set-up to values for its file, with their intervals, a table and a picture."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

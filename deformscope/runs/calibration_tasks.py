@@ -1,7 +1,5 @@
 """Measurements of `deformscope calibrate tip`, `place`, `camera`, `force` and `time`, and their solutions."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A catalog of the recordings in a folder: a Parquet file there, updated by their content."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Mapping, Sequence
@@ -338,7 +336,7 @@ def _with_ends(one: object) -> str:
     return cell_text(one["value"]) + ends
 
 
-def _series(first: Replay, second: Replay) -> tuple[list[dict[str, Any]], str]:
+def _series(first: "Replay", second: "Replay") -> tuple[list[dict[str, Any]], str]:
     from deformscope.page.aligned import aligned_series
 
     try:

@@ -1,7 +1,5 @@
 """Accuracy of the classification of a container's content, for own tables and data sets of squeezes."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

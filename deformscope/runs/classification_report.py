@@ -1,7 +1,5 @@
 """A classification as one HTML page, with the figures of Thesis chapter 2."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Evaluation of a saved classifier on new trials: `deformscope classify TABLE --model MODEL`."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The steps that a rig needs before it explores, in order, and the next one (`deformscope doctor RIG`)."""
 
-from __future__ import annotations
-
 import datetime
 from dataclasses import dataclass
 from typing import Literal

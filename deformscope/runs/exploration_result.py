@@ -1,7 +1,5 @@
 """Results of an exploration, for a terminal, JSON, a page and a notebook."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

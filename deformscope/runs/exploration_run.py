@@ -1,7 +1,5 @@
 """An exploration from its options to its result: devices opened, surface touched, arm stopped, results recorded."""
 
-from __future__ import annotations
-
 import dataclasses
 import time
 from collections.abc import Callable, Iterator
@@ -61,13 +59,13 @@ class ExplorationEnd:
     arm_stopped: bool = True
     began_s: float = 0.0
     session_s: float = 0.0
-    gaps_s: FloatArray | None = None
+    gaps_s: "FloatArray | None" = None
     largest_force_n: float = 0.0
     losses: dict[str, dict[str, float]] = field(default_factory=dict)
 
 
 def explore_on(
-    config: ExploreConfig,
+    config: "ExploreConfig",
     report: Callable[[ExplorationResult], None],
     planner: TouchPlanner | None = None,
     scene: OwnScene | None = None,
@@ -149,7 +147,7 @@ def explore_on(
     return explored
 
 
-def _check_first(config: ExploreConfig, setup: Setup) -> None:
+def _check_first(config: "ExploreConfig", setup: "Setup") -> None:
     """Raises InputError for a first touch outside the surface, and for a dry run of an arm that a person places."""
     if config.first_m is not None:
         (x, y), (width, height) = config.first_m, setup.size_m
@@ -162,15 +160,15 @@ def _check_first(config: ExploreConfig, setup: Setup) -> None:
 
 
 def _run(
-    config: ExploreConfig,
-    setup: Setup,
-    options: ExploreOptions,
-    found: Exploration,
-    recorder: Recorder,
-    asked: Interruption,
-    to_come: FaultsToCome | None,
+    config: "ExploreConfig",
+    setup: "Setup",
+    options: "ExploreOptions",
+    found: "Exploration",
+    recorder: "Recorder",
+    asked: "Interruption",
+    to_come: "FaultsToCome | None",
     ending: ExplorationEnd,
-    recorded: RecordedTouches | None,
+    recorded: "RecordedTouches | None",
     planner: TouchPlanner | None,
 ) -> None:
     """Open the devices, explore, close them; `found` and `ending` have the results, also if this raises. recorded:
@@ -181,7 +179,7 @@ def _run(
     from deformscope.pictures.render_process import render_process
     from deformscope.session import run as run_session
 
-    def steering(session: PageSession, shown: ShownDevices) -> PageSteering:
+    def steering(session: "PageSession", shown: "ShownDevices") -> "PageSteering":
         from deformscope.page.steering import PageSteering
 
         return PageSteering(
@@ -196,7 +194,7 @@ def _run(
             paused=config.paused,
         )
 
-    def permit(robot: TouchingRobot, page: PageSteering | None) -> RigExperiment[None]:
+    def permit(robot: TouchingRobot, page: "PageSteering | None") -> "RigExperiment[None]":
         yield from permitted(robot, setup, options, setup.calibrated, asked, yes=config.yes, page=page)
         ending.began_s = time.perf_counter()
 
@@ -248,7 +246,7 @@ def _run(
     ending.losses = run.losses()
 
 
-def _say_on_page(recorder: Recorder, explored: ExplorationResult) -> None:
+def _say_on_page(recorder: "Recorder", explored: ExplorationResult) -> None:
     """Print the outcome, if there is a page, which may outlive the exploration."""
     if recorder.page is None:
         return
@@ -260,8 +258,8 @@ def _say_on_page(recorder: Recorder, explored: ExplorationResult) -> None:
 
 
 def _with_messages(
-    experiment: RigExperiment[None], show: Callable[[str], None], budget: int, page: PageSteering | None = None
-) -> RigExperiment[None]:
+    experiment: "RigExperiment[None]", show: Callable[[str], None], budget: int, page: "PageSteering | None" = None
+) -> "RigExperiment[None]":
     """The same experiment; its results are printed, and shown on the page, during the run. budget: touches at most, 0 =
     they were made before, by any plan"""
     from deformscope.stages.map.exploration import TouchEstimate
@@ -349,13 +347,13 @@ def _cm(xy_m: Any) -> str:
 
 
 def _result(
-    config: ExploreConfig,
-    setup: Setup,
-    options: ExploreOptions,
-    exploration: Exploration,
-    recorder: Recorder,
+    config: "ExploreConfig",
+    setup: "Setup",
+    options: "ExploreOptions",
+    exploration: "Exploration",
+    recorder: "Recorder",
     ending: ExplorationEnd,
-    faults: FaultsToCome | None,
+    faults: "FaultsToCome | None",
     laboratory: dict[str, Any] | None,
 ) -> ExplorationResult:
     from deformscope.experiments.measured import SetupGeometry
@@ -405,14 +403,14 @@ def _result(
     )
 
 
-def _thickness(exploration: Exploration, options: ExploreOptions) -> LayerThickness:
+def _thickness(exploration: "Exploration", options: "ExploreOptions") -> LayerThickness:
     surface = exploration.surface
     known_m = None if surface is None else surface.layer_m
     by = "stated" if options.thickness_stated else NOT_KNOWN if known_m is None else "measured from the table around it"
     return LayerThickness(known_m, None if surface is None else surface.layer_sd_m, by)
 
 
-def _touch(exploration: Exploration, one: TouchEstimate, start_ns: int) -> TouchOutcome:
+def _touch(exploration: "Exploration", one: "TouchEstimate", start_ns: int) -> TouchOutcome:
     number, at = one.number, one.number - 1
     return TouchOutcome(
         one,
@@ -423,7 +421,7 @@ def _touch(exploration: Exploration, one: TouchEstimate, start_ns: int) -> Touch
     )
 
 
-def _fault(exploration: Exploration, ending: ExplorationEnd, faults: FaultsToCome | None) -> dict[str, Any] | None:
+def _fault(exploration: "Exploration", ending: ExplorationEnd, faults: "FaultsToCome | None") -> dict[str, Any] | None:
     """Why it was stopped, and how long after the laboratory's fault; None where it was not."""
     from deformscope.experiments.explore.explore import DRY_RUN
 
@@ -440,7 +438,7 @@ def _fault(exploration: Exploration, ending: ExplorationEnd, faults: FaultsToCom
     }
 
 
-def _gaps_ms(gaps_s: FloatArray | None) -> dict[str, float] | None:
+def _gaps_ms(gaps_s: "FloatArray | None") -> dict[str, float] | None:
     """From one look of the supervisor to the next, None where the arm never could move [ms]."""
     if gaps_s is None or not len(gaps_s):
         return None

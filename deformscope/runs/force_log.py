@@ -1,7 +1,5 @@
 """The force over time that belongs to images: of their own recording, or of a log."""
 
-from __future__ import annotations
-
 import io
 import re
 from collections.abc import Iterator, Sequence

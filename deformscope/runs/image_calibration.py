@@ -1,7 +1,5 @@
 """Beta or theta from a sequence of images."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager

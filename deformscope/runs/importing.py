@@ -1,7 +1,5 @@
 """Imports data of other programs as a recording like that of a rig."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Moduli from curves of force over depth: of tables, of recordings, and of what `import` reads with a map."""
 
-from __future__ import annotations
-
 import itertools
 import re
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence

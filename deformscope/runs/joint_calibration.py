@@ -1,7 +1,5 @@
 """beta and theta of pairs together, for the command and for scripts."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from deformscope.config import BothConfig

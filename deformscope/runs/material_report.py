@@ -1,7 +1,5 @@
 """Results of a material, as a table and a picture."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

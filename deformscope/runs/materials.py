@@ -1,8 +1,6 @@
 """Anisotropy, fields of stiffness, yielding and recovery of images, recordings and files: the same for a first run and
 for its replay."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

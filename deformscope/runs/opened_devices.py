@@ -1,8 +1,6 @@
 """Source of an exploration, by its name on the command line: a simulated scene, the devices of a rig file, or a
 recording."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 from pathlib import Path
@@ -34,14 +32,14 @@ class Opening:
     options: how to explore it; settings: for its recording; lab: source of faults, None on a rig; recorded: items of
     another robot, None = a robot is commanded"""
 
-    setup: Setup
-    options: ExploreOptions
+    setup: "Setup"
+    options: "ExploreOptions"
     settings: dict[str, Any]
-    lab: TouchLab | None = None
-    recorded: RecordedTouches | None = None
+    lab: "TouchLab | None" = None
+    recorded: "RecordedTouches | None" = None
 
     @property
-    def faulty_lab(self) -> TouchLab:
+    def faulty_lab(self) -> "TouchLab":
         """Raises InputError for a rig."""
         if self.lab is None:
             raise InputError("--fault with a simulated scene alone", "a rig", "lab:two-60-150")
@@ -50,16 +48,16 @@ class Opening:
 
 def setup_of(
     name: str,
-    options: ExploreOptions,
+    options: "ExploreOptions",
     set_force_n: float | None,
     *,
     trusted: bool,
     clean: bool = True,
     camera: str = "plain",
     robot: str = "plain",
-    removal: Removal | None = None,
+    removal: "Removal | None" = None,
     tangential: Literal["held", "free"] | None = None,
-    scene: Scene | None = None,
+    scene: "Scene | None" = None,
 ) -> Opening:
     """The setup of `lab:NAME`, of a rig file, not opened, or of a recording.
 
@@ -129,7 +127,7 @@ def setup_of(
     return Opening(setup_of_rig(rig, options.seed), options, settings)
 
 
-def recorded_rig(path: Path) -> Rig:
+def recorded_rig(path: Path) -> "Rig":
     """Poses of arm, camera and surface in a recording. Raises InputError for its missing values."""
     from deformscope.recording.items import read_streams
     from deformscope.recording.reader import Replay
@@ -145,7 +143,7 @@ def recorded_rig(path: Path) -> Rig:
     return rig
 
 
-def setup_of_rig(rig: Rig, seed: int = 0) -> Setup:
+def setup_of_rig(rig: "Rig", seed: int = 0) -> "Setup":
     """The setup of a rig file, not opened. Raises InputError, which names missing keys."""
     from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
     from deformscope.lab.rig_members import member_of
@@ -160,7 +158,7 @@ def setup_of_rig(rig: Rig, seed: int = 0) -> Setup:
     return rig_setup(parts, member_of, table, (1.0 / ARM_STIFFNESS_N_M, ARM_DOUBT / ARM_STIFFNESS_N_M))
 
 
-def table_of(parts: RigParts, seed: int = 0) -> tuple[LiveLab | None, RandomizedRig | None]:
+def table_of(parts: "RigParts", seed: int = 0) -> "tuple[LiveLab | None, RandomizedRig | None]":
     """The simulated table of a rig with a scene, not opened, and the true places of its devices if they are hidden."""
     from deformscope.lab import live_lab
     from deformscope.lab.randomized_rig import RandomizedRig
@@ -192,7 +190,7 @@ class SqueezeOpening:
     """A setup to squeeze with, not opened; settings: for its recording; content, container: the requested ones or, in
     the laboratory, random ones"""
 
-    setup: SqueezeSetup
+    setup: "SqueezeSetup"
     settings: dict[str, Any]
     content: str
     container: str

@@ -1,7 +1,5 @@
 """The operator of a run: a person at the terminal, at the page if the run has one, or a script with given consent."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import select
@@ -57,7 +55,7 @@ class RunOperator:
 class PersonAtTerminal:
     """Places an arm without motors: a line for each request (`robot.by_hand.Person`)."""
 
-    def ask(self, request: PlaceRequest) -> None:
+    def ask(self, request: "PlaceRequest") -> None:
         say(request.words)
 
     def answered(self) -> str | None:

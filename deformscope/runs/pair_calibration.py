@@ -1,7 +1,5 @@
 """Beta or theta from pairs of shapes."""
 
-from __future__ import annotations
-
 import dataclasses
 import io
 from collections.abc import Callable, Iterator, Mapping, Sequence

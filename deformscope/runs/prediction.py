@@ -1,7 +1,5 @@
 """Predicts pokes that were not fitted, and compares them with measurements."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Mapping, Sequence

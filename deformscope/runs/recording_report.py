@@ -1,7 +1,5 @@
 """A recording as a report: figures of the thesis's chapters 2 to 4 from its content, and a list of missing ones."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path

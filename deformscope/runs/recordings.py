@@ -1,7 +1,5 @@
 """Recordings in scripts: an opened one, and the result of `record`."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Makes a complete recording from an unfinished or truncated one."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import tempfile

@@ -1,8 +1,6 @@
 """Computes a recording again: the same stages on its inputs, compared with its numbers. The bytes of a rig are decoded
 again and compared with its frames."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Sequence
@@ -67,7 +65,7 @@ def replay_on(config: ReplayConfig, progress: Progress | None = None) -> ReplayR
     return dataclasses.replace(result, verdict=f"replay: {same} the recorded numbers")
 
 
-def _frames(recording: Replay, config: ReplayConfig) -> Source:
+def _frames(recording: Replay, config: ReplayConfig) -> "Source":
     from deformscope.files.sources import Source
 
     return Source(
@@ -135,7 +133,7 @@ def _fits(recording: Replay, config: ReplayConfig, progress: Progress | None) ->
     )
 
 
-def _distance(before: Estimate, now: Estimate) -> float:
+def _distance(before: "Estimate", now: "Estimate") -> float:
     """The largest difference of two estimates' headline numbers, in the units of `CLOSE`."""
     same = ("parameter", "unit", "metres_per_unit")
     if any(getattr(before, name) != getattr(now, name) for name in same):

@@ -1,8 +1,6 @@
 """A replay of an exploration from its recorded depth images, wire forces and states of the arm. All results (surface,
 plans with their maps, touches, maps) are computed again and must be equal to the last bit."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -24,7 +22,7 @@ TRUTH = ("truth_labels", "iou", "boundary_m", "truth_m", "reason")
 elsewhere."""
 
 
-def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer | None = None) -> ReplayResult:
+def replay_exploration(recording: "Replay", config: ReplayConfig, page: "PageServer | None" = None) -> ReplayResult:
     """Compute and compare; raises Different. A stage that failed when it was recorded is reported, not computed again:
     whether it fails may depend on the machine. page: page that plays it, and shows results with other settings next to
     the recorded ones"""
@@ -121,7 +119,7 @@ def _changes(words: Sequence[str], hints: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _compared(
-    recorded: list[Any], again: list[Any], changes: dict[str, Any], path: Path, page: PageServer | None
+    recorded: list[Any], again: list[Any], changes: dict[str, Any], path: Path, page: "PageServer | None"
 ) -> ReplayResult:
     """Results of other settings, with the recorded ones; the robot touched the recorded places."""
     from deformscope.pictures.messages import format_claim, format_verdict

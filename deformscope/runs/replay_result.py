@@ -1,7 +1,5 @@
 """Outcome of a replay, and the comparison of recorded results with those computed again."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path

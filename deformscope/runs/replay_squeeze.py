@@ -1,8 +1,6 @@
 """A replay of a squeeze from its recorded tactile frames, angles and depth images. All results (pressures, events,
 tracked container, features, posteriors) are computed again and must be equal to the last bit."""
 
-from __future__ import annotations
-
 import dataclasses
 import tempfile
 from collections import defaultdict
@@ -28,11 +26,11 @@ class SqueezeAgain:
     results: results of every kind, in the order in which they are computed"""
 
     results: list[object] = dataclasses.field(default_factory=list)
-    features: TrialFeatures | None = None
+    features: "TrialFeatures | None" = None
     failure: str = ""
 
 
-def replay_squeeze(recording: Replay) -> ReplayResult:
+def replay_squeeze(recording: "Replay") -> ReplayResult:
     """Compute and compare; raises Different."""
     from deformscope.recording.items import read_results
     from deformscope.stages.squeeze.trial import SqueezeStop
@@ -67,7 +65,7 @@ def _by_frame(results: list[Any]) -> dict[tuple[int, int], Any]:
     return {(frame, next(counted[frame])): one for frame, one in zip(of, results, strict=True)}
 
 
-def squeeze_again(recording: Replay) -> SqueezeAgain:
+def squeeze_again(recording: "Replay") -> SqueezeAgain:
     """All results of a recorded squeeze, computed from its raw frames. Raises InputError if it is no such recording, or
     a phase is missing."""
     import msgspec
@@ -128,7 +126,7 @@ def squeeze_again(recording: Replay) -> SqueezeAgain:
     return found
 
 
-def sighted_again(recording: Replay, items: list[Any], geometry: SqueezeGeometry) -> list[ContainerSighting]:
+def sighted_again(recording: "Replay", items: list[Any], geometry: "SqueezeGeometry") -> "list[ContainerSighting]":
     """The container, located again in each image in which it was searched; empty if a person placed the hand."""
     from deformscope.experiments.squeeze.placing import sight
     from deformscope.frames import ArmFrame, DepthFrame, HandFrame
@@ -150,7 +148,7 @@ def sighted_again(recording: Replay, items: list[Any], geometry: SqueezeGeometry
     return found
 
 
-def _recorded_model(recording: Replay) -> ContentModel | None:
+def _recorded_model(recording: "Replay") -> "ContentModel | None":
     from deformscope.files.classifier_file import load_classifier
     from deformscope.runs.squeeze_run import MODEL_INPUT
 

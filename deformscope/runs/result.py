@@ -1,7 +1,5 @@
 """Common methods of all results: print, JSON, notebook; and common parts of all functions."""
 
-from __future__ import annotations
-
 import logging
 import os
 from abc import ABC, abstractmethod
@@ -80,7 +78,7 @@ class SourceResult(LibraryResult):
     that determine the result"""
 
     name: str = ""
-    recording: RecordingSummary | None = None
+    recording: "RecordingSummary | None" = None
     problems: tuple[str, ...] = ()
     settings: Mapping[str, object] = field(default_factory=dict)
     seed: int = 0
@@ -103,8 +101,8 @@ def resolve_viewer(choice: ViewerChoice) -> Viewer:
 
 
 def open_recorder(
-    output: ViewOptions, settings: Mapping[str, object], application: Application, **more: Any
-) -> Recorder:
+    output: "ViewOptions", settings: Mapping[str, object], application: "Application", **more: Any
+) -> "Recorder":
     """Recorder and viewer of the options. more: options of a `Recorder`"""
     from deformscope.recording.recorder import Recorder
 
@@ -112,7 +110,7 @@ def open_recorder(
     return Recorder(output.record, viewer, settings, application=application, overwrite=output.overwrite, **more)
 
 
-def recording_rows(recording: RecordingSummary) -> Rows:
+def recording_rows(recording: "RecordingSummary") -> Rows:
     """The recording's place, and items that a live view did not show."""
     rows = []
     if recording.path is not None:

@@ -1,7 +1,5 @@
 """`deformscope calibrate tip`, `place`, `camera`, `force` and `time`: measure, solve, write."""
 
-from __future__ import annotations
-
 import dataclasses
 import datetime
 from collections.abc import Callable, Mapping
@@ -95,7 +93,7 @@ class SetupTask(Generic[M]):
     recorded: Callable[[Path], M] | None = None
 
 
-def set_up(config: SetupOptions, task: SetupTask[M], recorder: Recorder) -> RigCalibrationResult:
+def set_up(config: "SetupOptions", task: SetupTask[M], recorder: "Recorder") -> RigCalibrationResult:
     """Measure, or read an earlier measurement; solve; write into the rig file unless --no-write is given."""
     rig = load_rig(config.rig, trusted=config.trust_rig)
     if config.measured is not None:
@@ -137,7 +135,9 @@ def written_lines(found: RigCalibrationResult) -> str:
 # Devices and the person at them ---------------------------------------------------------------------------------------
 
 
-def _devices(rig: Rig, task: SetupTask[Any], asked: Interruption) -> tuple[AbstractContextManager[RigSource], Station]:
+def _devices(
+    rig: Rig, task: SetupTask[Any], asked: Interruption
+) -> "tuple[AbstractContextManager[RigSource], Station]":
     """The devices, not opened, and the operator: a person at a terminal, or the laboratory's."""
     if not rig.surface.scene:
         devices = {kind: only_device(rig, kind, "to measure with") for kind in task.needs}
@@ -181,7 +181,7 @@ def _go_on(asked: Interruption) -> None:
         raise InputError("an answer to each request", "Ctrl-C: nothing was written", "begin again")
 
 
-def _simulated(hand: SimulatedHand, asked: Interruption) -> Assistant:
+def _simulated(hand: "SimulatedHand", asked: Interruption) -> Assistant:
     """The laboratory's person, who releases and taps while frames pass."""
 
     def does(request: SetupRequest) -> RigExperiment[None]:

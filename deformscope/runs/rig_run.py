@@ -1,7 +1,5 @@
 """A rig's devices recorded, shown, and evaluated by live stages, from the options to the outcome."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import hashlib
@@ -151,7 +149,7 @@ def _new_file(rig: Rig) -> Path:
     return new_recording(Path(rig.record.folder), rig.name.replace(":", "-"))
 
 
-def live_options(flags: StageOptions, rig: Rig, streams: Sequence[Stream] = ()) -> LiveOptions:
+def live_options(flags: StageOptions, rig: Rig, streams: Sequence[Stream] = ()) -> "LiveOptions":
     """The options of the requested stages. Raises InputError if the rig lacks a device for one of the stages. streams:
     streams of the devices, where they are not the rig's"""
     from deformscope.experiments.fit.calibration_inputs import particle_options
@@ -164,13 +162,13 @@ def live_options(flags: StageOptions, rig: Rig, streams: Sequence[Stream] = ()) 
 # What stages need takes seconds to load: only where there are some.
 
 
-def _processes(names: Sequence[StageName]) -> StageProcesses:
+def _processes(names: "Sequence[StageName]") -> "StageProcesses":
     from deformscope.experiments.live.live_stages import StageProcesses
 
     return StageProcesses(names, quiet_warp)
 
 
-def _stages(options: LiveOptions, streams: Sequence[Stream]) -> tuple[Stage, ...]:
+def _stages(options: "LiveOptions", streams: Sequence[Stream]) -> "tuple[Stage, ...]":
     from deformscope.experiments.live.device_stages import stages_of
 
     return stages_of(options, streams)

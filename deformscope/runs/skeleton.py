@@ -1,8 +1,6 @@
 """Parts that all runs share: devices opened, recorded and closed, the question before a robot moves, and Ctrl-C. At the
 end the robot is at rest; a stopped run reports its reason."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
@@ -49,20 +47,20 @@ class OpenRun:
     line: shows one line, which the next replaces; recorded: the recorder of the session; last: the devices when they
     were closed, None before"""
 
-    source: RigSource
+    source: "RigSource"
     line: Callable[[str], None]
-    recorded: SessionRecorder
-    last: HealthReport | None = None
+    recorded: "SessionRecorder"
+    last: "HealthReport | None" = None
 
-    def watch(self, asked: Interruption, page: RobotPage | None = None) -> Watch:
+    def watch(self, asked: "Interruption", page: "RobotPage | None" = None) -> "Watch":
         """Function that is called in every control period of its robot."""
         return Watch(asked, self.line, *(() if page is None else (page.show,)))
 
     def open_page(
         self,
-        recorder: Recorder,
-        config: ExploreConfig | SqueezeConfig,
-        make: Callable[[PageSession, ShownDevices], PageT],
+        recorder: "Recorder",
+        config: "ExploreConfig | SqueezeConfig",
+        make: "Callable[[PageSession, ShownDevices], PageT]",
     ) -> PageT | None:
         """From now on print alarms at the terminal, and show the state of devices on the recorder's page. Returns the
         object of `make` that moves the robot from there, None without a page."""
@@ -82,7 +80,7 @@ class OpenRun:
 
 
 @contextlib.contextmanager
-def open_run(devices: AbstractContextManager[RigSource], recorder: SessionRecorder) -> Iterator[OpenRun]:
+def open_run(devices: "AbstractContextManager[RigSource]", recorder: "SessionRecorder") -> Iterator[OpenRun]:
     """The opened devices; at the end they are closed, and everything they sent until then is recorded. Devices that
     fail, even at closing, are printed at the end of the run. Opening them starts the recorder."""
     with contextlib.ExitStack() as closed, devices as source, status_line() as line:
@@ -93,7 +91,7 @@ def open_run(devices: AbstractContextManager[RigSource], recorder: SessionRecord
 
 
 @contextlib.contextmanager
-def open_rig_run(devices: AbstractContextManager[RigSource], recorder: Recorder) -> Iterator[OpenRun]:
+def open_rig_run(devices: "AbstractContextManager[RigSource]", recorder: "Recorder") -> Iterator[OpenRun]:
     """Like `open_run`, with a recording like that of a rig's devices."""
     with open_run(devices, recorder) as run:
         recorder.start(RigLayout(tuple(run.source.streams)), run.source.start_ns)
@@ -122,7 +120,7 @@ class Watch:
     opened;
     arm_stopped: whether the arm could be stopped, in the end"""
 
-    def __init__(self, asked: Interruption, *shows: Callable[[str], None]) -> None:
+    def __init__(self, asked: "Interruption", *shows: Callable[[str], None]) -> None:
         """asked: set when a person requests the end; shows: where one line goes that the next replaces"""
         self.robot: WatchedRobot | None = None
         self.arm_stopped = True
@@ -162,16 +160,16 @@ class Watch:
 
 
 def permitted(
-    robot: TouchingRobot,
-    setup: Setup,
-    options: ExploreOptions,
+    robot: "TouchingRobot",
+    setup: "Setup",
+    options: "ExploreOptions",
     calibrated: Mapping[str, bool],
-    asked: Interruption,
+    asked: "Interruption",
     *,
     yes: bool,
-    places_m: FloatArray | None = None,
-    page: RobotPage | None = None,
-) -> RigExperiment[None]:
+    places_m: "FloatArray | None" = None,
+    page: "RobotPage | None" = None,
+) -> "RigExperiment[None]":
     """Within an experiment: check everything, print the table of checks, and ask before a real arm moves. Before that,
     request a finger on the tip if the force there is the only guard.
 
@@ -211,8 +209,8 @@ def permitted(
 
 
 def agree(
-    asked: Interruption, page: RobotPage | None, what: str, *, enter_when: str = "", or_ended: bool = False
-) -> RigExperiment[None]:
+    asked: "Interruption", page: "RobotPage | None", what: str, *, enter_when: str = "", or_ended: bool = False
+) -> "RigExperiment[None]":
     """Within an experiment: wait until a person permits the motion, at the page if there is one, or at the terminal.
 
     what: the motion; enter_when: condition, as text, after which Enter at the terminal is sufficient. Otherwise it
@@ -229,7 +227,12 @@ def agree(
 
 
 def leave_arm(
-    stop: ExplorationStop | None, touched: int, asked: Interruption, recording: Path | None, *, arm_stopped: bool = True
+    stop: "ExplorationStop | None",
+    touched: int,
+    asked: "Interruption",
+    recording: "Path | None",
+    *,
+    arm_stopped: bool = True,
 ) -> NoReturn:
     """Like `leave`, after a number of touches."""
     from deformscope.robot.supervisor import Fault
@@ -241,10 +244,10 @@ def leave_arm(
 
 
 def leave(
-    stop: ExplorationStop | SqueezeStop | None,
+    stop: "ExplorationStop | SqueezeStop | None",
     state: str,
-    asked: Interruption,
-    recording: Path | None,
+    asked: "Interruption",
+    recording: "Path | None",
     expected: str,
     again: str,
     *,

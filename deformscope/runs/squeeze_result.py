@@ -1,7 +1,5 @@
 """Result of one squeeze: its JSON, its table and its picture."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -42,7 +40,7 @@ class SqueezeResult(LibraryResult):
     content: str = field(metadata=reported())
     content_given: bool = field(metadata=reported())
     container: str = field(metadata=reported())
-    stop: SqueezeStop | None = field(metadata=reported(key="discarded"))
+    stop: "SqueezeStop | None" = field(metadata=reported(key="discarded"))
     start_ns: int
 
     @property
@@ -66,7 +64,7 @@ class SqueezeResult(LibraryResult):
         be tracked `vision` (3721,) and `vision_small` (121,) [m]; empty if the squeeze was stopped."""
         return {} if self.computed is None else self.computed.modalities
 
-    computed: TrialFeatures | None = field(metadata=reported(flat=True))
+    computed: "TrialFeatures | None" = field(metadata=reported(flat=True))
     untracked: str
 
     @property
@@ -89,12 +87,12 @@ class SqueezeResult(LibraryResult):
             "poses": poses,
         }
 
-    answer: ContentPosterior | None = field(metadata=reported(flat=True))
+    answer: "ContentPosterior | None" = field(metadata=reported(flat=True))
     hand_stands: bool = field(metadata=reported())
     arm_stands: bool = field(metadata=reported())
     limits_restored: bool = field(metadata=reported())
-    placement: HandPlacement | None = field(metadata=reported(optional=True))
-    sightings: tuple[ContainerSighting, ...] = field(metadata=reported(key=None))
+    placement: "HandPlacement | None" = field(metadata=reported(optional=True))
+    sightings: "tuple[ContainerSighting, ...]" = field(metadata=reported(key=None))
 
     @property
     @derived(optional=True)
@@ -102,7 +100,7 @@ class SqueezeResult(LibraryResult):
         """Size and pose from the depth images: before the squeeze, when the hand was placed, and after it."""
         return [to_json(one) for one in self.sightings] or None
 
-    withdrawal: SqueezeStop | None = field(metadata=reported(optional=True))
+    withdrawal: "SqueezeStop | None" = field(metadata=reported(optional=True))
     losses: Mapping[str, Mapping[str, float]] = field(metadata=reported())
     truth: Mapping[str, float | None] | None = field(metadata=reported())
     dataset: Path | None = field(metadata=reported())

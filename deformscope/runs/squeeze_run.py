@@ -1,7 +1,5 @@
 """A squeeze from its options to its result: devices opened, container squeezed, hand stopped, trial stored."""
 
-from __future__ import annotations
-
 import dataclasses
 import datetime
 from collections.abc import Callable, Mapping
@@ -48,7 +46,7 @@ class SqueezeOutcome:
     """Outcome of a squeeze. asked: who requested the end, if a person did"""
 
     result: SqueezeResult
-    asked: Interruption
+    asked: "Interruption"
 
     @property
     def interrupted(self) -> bool:
@@ -59,7 +57,7 @@ class SqueezeOutcome:
         return self.asked.is_set() and stop is not None and stop.kind == SqueezeFault.ASKED
 
 
-def squeeze_on(config: SqueezeConfig, report: Callable[[SqueezeResult], None]) -> SqueezeOutcome:
+def squeeze_on(config: "SqueezeConfig", report: Callable[[SqueezeResult], None]) -> SqueezeOutcome:
     """Squeeze, with the laboratory or the devices of a rig file; store the trial; report the results."""
     from deformscope.experiments.squeeze.squeeze import Squeezed, entry_of, feature_settings, recorded_settings, row_of
     from deformscope.files.squeeze_dataset import SqueezeDataset
@@ -131,12 +129,12 @@ def squeeze_on(config: SqueezeConfig, report: Callable[[SqueezeResult], None]) -
 
 
 def _run(
-    config: SqueezeConfig,
-    opening: SqueezeOpening,
-    model: ContentModel | None,
-    found: Squeezed,
-    recorder: Recorder,
-    asked: Interruption,
+    config: "SqueezeConfig",
+    opening: "SqueezeOpening",
+    model: "ContentModel | None",
+    found: "Squeezed",
+    recorder: "Recorder",
+    asked: "Interruption",
     seed: int,
 ) -> dict[str, Any]:
     """Open the devices, squeeze, close them; other results besides `found`."""
@@ -152,7 +150,7 @@ def _run(
     setup = opening.setup
     names, geometry = setup.names, SqueezeGeometry.of(setup)
 
-    def squeezing(session: PageSession, shown: ShownDevices) -> PageSqueezing:
+    def squeezing(session: "PageSession", shown: "ShownDevices") -> "PageSqueezing":
         from deformscope.page.robot_page import PageSqueezing
 
         return PageSqueezing(session, asked, shown)
@@ -220,8 +218,8 @@ def _run(
 
 
 def _permitted(
-    config: SqueezeConfig, setup: SqueezeSetup, asked: Interruption, page: PageSqueezing | None
-) -> RigExperiment[None]:
+    config: "SqueezeConfig", setup: "SqueezeSetup", asked: "Interruption", page: "PageSqueezing | None"
+) -> "RigExperiment[None]":
     """Within the experiment: ask before a real hand moves, and where it begins paused. Raises InputError unless a
     person says yes."""
     current_a = setup.squeeze.current_a
@@ -235,8 +233,12 @@ def _permitted(
 
 
 def _arm_permitted(
-    config: SqueezeConfig, setup: SqueezeSetup, asked: Interruption, page: PageSqueezing | None, preflight: Preflight
-) -> RigExperiment[bool]:
+    config: "SqueezeConfig",
+    setup: "SqueezeSetup",
+    asked: "Interruption",
+    page: "PageSqueezing | None",
+    preflight: "Preflight",
+) -> "RigExperiment[bool]":
     """Within the experiment: print the table of checks, and ask before a real arm moves; whether a person was asked.
     Raises InputError unless they say yes."""
     say(preflight.table())
@@ -250,8 +252,8 @@ def _arm_permitted(
 
 
 def _placed(
-    config: SqueezeConfig, setup: SqueezeSetup, asked: Interruption, page: PageSqueezing | None
-) -> RigExperiment[None]:
+    config: "SqueezeConfig", setup: "SqueezeSetup", asked: "Interruption", page: "PageSqueezing | None"
+) -> "RigExperiment[None]":
     """Within the experiment: have the hand placed where the grasp was drawn."""
     from deformscope.session import Moment, Step
     from deformscope.stages.squeeze.trial import SqueezePhase
@@ -276,7 +278,7 @@ def _placed(
 # A model -------------------------------------------------------------------------------------------------------------
 
 
-def _model(path: Path | None) -> ContentModel | None:
+def _model(path: Path | None) -> "ContentModel | None":
     if path is None:
         return None
     from deformscope.files.classifier_file import load_classifier
@@ -284,22 +286,24 @@ def _model(path: Path | None) -> ContentModel | None:
     return load_classifier(path)
 
 
-def step_posterior(model: ContentModel) -> Predict | None:
+def step_posterior(model: "ContentModel") -> "Predict | None":
     """The model's posterior during the squeeze; None without a tactile modality."""
     if "tactile" not in model.modalities:
         return None
 
-    def predict(since_s: float, features: Mapping[str, FloatArray]) -> tuple[str, tuple[str, ...], FloatArray]:
+    def predict(since_s: float, features: "Mapping[str, FloatArray]") -> "tuple[str, tuple[str, ...], FloatArray]":
         known, probability = model.predict_at(since_s, {name: values[None] for name, values in features.items()})
         return " and ".join(known), model.labels, probability[0]
 
     return predict
 
 
-def final_posterior(model: ContentModel) -> Callable[[dict[str, FloatArray]], tuple[str, tuple[str, ...], FloatArray]]:
+def final_posterior(
+    model: "ContentModel",
+) -> "Callable[[dict[str, FloatArray]], tuple[str, tuple[str, ...], FloatArray]]":
     """The model's posterior from all its features: (modalities, labels, probabilities)."""
 
-    def predict(features: dict[str, FloatArray]) -> tuple[str, tuple[str, ...], FloatArray]:
+    def predict(features: "dict[str, FloatArray]") -> "tuple[str, tuple[str, ...], FloatArray]":
         known = {name: features[name][None] for name in model.modalities if name in features}
         return " and ".join(known), model.labels, model.predict_proba(known)[0]
 
@@ -309,7 +313,7 @@ def final_posterior(model: ContentModel) -> Callable[[dict[str, FloatArray]], tu
 # The trial -----------------------------------------------------------------------------------------------------------
 
 
-def _trials_before(dataset: SqueezeDataset | None, container: str, session: str) -> int:
+def _trials_before(dataset: "SqueezeDataset | None", container: str, session: str) -> int:
     """Each trial of a container has a grasp of its own."""
     if dataset is None or not dataset.exists:
         return 0
@@ -317,8 +321,8 @@ def _trials_before(dataset: SqueezeDataset | None, container: str, session: str)
 
 
 def _finished(
-    entry: TrialEntry, found: Squeezed, ended: dict[str, Any], dataset: SqueezeDataset | None, path: Path | None
-) -> TrialEntry:
+    entry: "TrialEntry", found: "Squeezed", ended: dict[str, Any], dataset: "SqueezeDataset | None", path: Path | None
+) -> "TrialEntry":
     """The entry with the outcome of the squeeze."""
     recording = ""
     if path is not None and dataset is not None:
@@ -337,7 +341,7 @@ def _finished(
     )
 
 
-def _format_size(setup: SqueezeSetup) -> str:
+def _format_size(setup: "SqueezeSetup") -> str:
     """Expected size of a recording."""
     pixels = 640 * 480 if setup.names.camera else 0
     bytes_s = 30 * TACTILE_BYTES + setup.camera.rate_hz * pixels * 2 * DEPTH_SHARE

@@ -3,8 +3,6 @@
 A task is identified by content: the bytes of its file and of the file's ledger, the function with its settings, and the
 code of this package. A finished task is not computed again, under any name of the file."""
 
-from __future__ import annotations
-
 import hashlib
 import importlib
 import inspect

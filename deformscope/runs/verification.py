@@ -1,7 +1,5 @@
 """Checks whether a recording is whole: its bytes, its structure, and the losses that it counted."""
 
-from __future__ import annotations
-
 import textwrap
 from dataclasses import dataclass
 from pathlib import Path
@@ -115,7 +113,7 @@ def verify_recording(path: Path, *, stages: bool = False, privacy: bool = False)
     return VerifyResult(found, tuple(tables), error, tuple(remarks), tuple(losses))
 
 
-def _stages(path: Path, tables: list[Table], remarks: list[str]) -> list[RecordedStage]:
+def _stages(path: Path, tables: list[Table], remarks: list[str]) -> "list[RecordedStage]":
     """The stages; their tables and what is to be remarked of them are added."""
     from deformscope.recording.stages import recorded_stages
     from deformscope.runs.recording_report import stage_tables

@@ -3,8 +3,6 @@
 The thesis's is `sigma_e^2 exp(-|u - u'|^2 / sigma_w^2)` (eq. 4.5), without the usual half: its length scale, in the
 field's common sense `exp(-|u - u'|^2 / (2 l^2))`, is `l = sigma_w / sqrt(2)`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 
@@ -47,7 +45,7 @@ class Kernel:
                 raise InputError(f"a kernel's {name} above 0", f"{value:g}")
 
     @classmethod
-    def of_length(cls, sigma_e: float, length_m: float) -> Kernel:
+    def of_length(cls, sigma_e: float, length_m: float) -> "Kernel":
         """The kernel of a length scale l [m]."""
         return cls(sigma_e, float(np.sqrt(2.0)) * length_m)
 

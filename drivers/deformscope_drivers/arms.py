@@ -1,7 +1,5 @@
 """The arms whose joints are known, by the name of their model."""
 
-from __future__ import annotations
-
 from deformscope_drivers.arm.kinematics import Chain
 from deformscope_drivers.jaco.chains import CHAINS as JACO
 from deformscope_drivers.kuka.config import CHAINS as KUKA

@@ -1,7 +1,5 @@
 """Time of a reading: one stamp, made once, on a clock that never jumps; and its relation to a device's clock."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections import deque
@@ -34,7 +32,7 @@ class Stamp:
         """When the reading arrived [ns]."""
         return self.host_ns + (self.late_ns or 0)
 
-    def put_back(self, late_ns: int) -> Stamp:
+    def put_back(self, late_ns: int) -> "Stamp":
         """When a device that is late by this [ns] took the reading."""
         return Stamp(self.arrived_ns - late_ns, self.device_ticks, late_ns)
 

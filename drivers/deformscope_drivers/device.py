@@ -4,8 +4,6 @@ health.
 One thread owns the link, from opening to closing: only this thread reads and writes. Calls from other threads are
 handed to it (`_do`). So no lock guards a port, no reading is split, and a pulled cable is noticed in one place."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import threading

@@ -3,8 +3,6 @@
 A double is pure: it opens no port, starts no thread and reads no clock. `deformscope_drivers.wires` puts it behind a
 pseudo terminal, a CAN bus or a socket; a simulated laboratory drives it by its own clock."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import math

@@ -11,8 +11,6 @@ DeviceError +- NotConnected       it is not there, or cannot be opened
  +- Stale there is no reading of the requested age
  +- LibraryMissing     software of the vendor's, or an optional package, is not installed"""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Self
 

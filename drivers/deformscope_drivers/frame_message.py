@@ -1,7 +1,5 @@
 """A picture of a depth camera, as the process that reads the camera sends it. Nothing here imports numpy."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 NO_TIME_US = 2**64 - 1

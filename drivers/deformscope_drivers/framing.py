@@ -2,8 +2,6 @@
 
 This module uses no port, clock or thread. Bad bytes are events, never exceptions: counted and recorded."""
 
-from __future__ import annotations
-
 import struct
 from abc import ABC, abstractmethod
 from collections.abc import Iterator

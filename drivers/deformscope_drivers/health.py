@@ -1,7 +1,5 @@
 """The health of a device: its readings, its losses with reasons, its rate and age."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Mapping

@@ -11,8 +11,6 @@ When the program ends, for any reason, the socket closes: the function detects t
 a time limit. Nothing here imports numpy: the process starts quickly.
 """
 
-from __future__ import annotations
-
 import atexit
 import contextlib
 import os

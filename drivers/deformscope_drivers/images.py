@@ -1,7 +1,5 @@
 """Common parts of colour and depth images."""
 
-from __future__ import annotations
-
 import math
 import zlib
 from collections.abc import Hashable
@@ -50,7 +48,7 @@ class Intrinsics:
     distortion: tuple[float, ...] = ()
 
     @classmethod
-    def from_field_of_view(cls, width: int, height: int, horizontal_rad: float, vertical_rad: float) -> Intrinsics:
+    def from_field_of_view(cls, width: int, height: int, horizontal_rad: float, vertical_rad: float) -> "Intrinsics":
         """Intrinsics as in OpenNI2's converter: the axis goes through pixel (width / 2, height / 2)."""
         fx_px, fy_px = width / (2 * math.tan(horizontal_rad / 2)), height / (2 * math.tan(vertical_rad / 2))
         return cls(fx_px, fy_px, width / 2, height / 2)

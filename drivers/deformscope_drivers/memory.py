@@ -1,7 +1,5 @@
 """A double in memory, on a simulated clock: no port, no thread, and the same run every time."""
 
-from __future__ import annotations
-
 from deformscope_drivers.doubles import Double
 from deformscope_drivers.errors import LinkLost, NotConnected
 from deformscope_drivers.transport import Transport

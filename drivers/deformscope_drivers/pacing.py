@@ -1,7 +1,5 @@
 """Waiting for a moment on a device's own clock, slots on an absolute schedule, and threads that run before others."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import threading

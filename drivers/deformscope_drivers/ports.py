@@ -1,7 +1,5 @@
 """Devices connected to this machine, as far as they are visible without opening anything."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

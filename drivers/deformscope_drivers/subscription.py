@@ -1,7 +1,5 @@
 """A reader's own bounded queue: a slow reader loses the oldest, and learns how many."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import deque
@@ -18,7 +16,7 @@ class Subscription(Generic[T]):
     received: items that were put in; dropped: items lost because the reader was slow.
     Always: received = taken + dropped + waiting."""
 
-    def __init__(self, capacity: int, leave: Callable[[Subscription[T]], None]) -> None:
+    def __init__(self, capacity: int, leave: "Callable[[Subscription[T]], None]") -> None:
         self.capacity = capacity
         self.received = 0
         self.dropped = 0
@@ -28,7 +26,7 @@ class Subscription(Generic[T]):
         self._error: BaseException | None = None
         self._changed = threading.Condition()
 
-    def __enter__(self) -> Subscription[T]:
+    def __enter__(self) -> "Subscription[T]":
         return self
 
     def __exit__(self, *_: object) -> None:

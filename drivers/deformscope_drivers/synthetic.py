@@ -1,7 +1,5 @@
 """Cameras that take their pictures from a program: what the synthetic colour and depth cameras share."""
 
-from __future__ import annotations
-
 import dataclasses
 import threading
 from abc import abstractmethod

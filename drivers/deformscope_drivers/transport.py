@@ -4,8 +4,6 @@ A transport carries bytes. A transport decodes nothing; it reports immediately w
 may come from anywhere, name ports and buses. pyserial and python-can have more kinds than are accepted here, some of
 which write files (`spy://`) or load classes (`alt://`)."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import os

@@ -2,8 +2,6 @@
 
 A wire has one thread, which feeds the double with bytes and time and sends what is due. Cables can be pulled out."""
 
-from __future__ import annotations
-
 import os
 import select
 import socket

@@ -4,8 +4,6 @@ It takes a step to the goals (eq. 3.15) of a full lattice of unit masses with a 
 plain NumPy. Sums over windows go axis by axis, so that a window of w particles per side costs about 3 w additions per
 channel instead of w^3. One `np.linalg.svd` call turns all clusters."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,7 +24,7 @@ class NumpyLattice:
     count: FloatArray
 
     @classmethod
-    def build(cls, size: int, held: BoolArray) -> NumpyLattice:
+    def build(cls, size: int, held: BoolArray) -> "NumpyLattice":
         """At rest, one unit apart. size: size of a cluster, in particles; held: (rows, columns[, layers]) mask"""
         rest = np.indices(held.shape, dtype=np.float64)
         windows: FloatArray = np.ones([n - size + 1 for n in held.shape])

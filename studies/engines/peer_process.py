@@ -6,8 +6,6 @@ that was built. Then, for every number of steps on stdin, the seconds of wall cl
 
 Every body is a lattice of SIDE^3 particles whose bottom layer is held."""
 
-from __future__ import annotations
-
 import json
 import os
 import sys

@@ -1,7 +1,5 @@
 """Other engines, run in child processes that report the time of a number of steps."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
@@ -37,7 +35,7 @@ class Peer:
         self.engine, self.side = engine, side
         self.facts: dict[str, object] = {}
 
-    def __enter__(self) -> Peer:
+    def __enter__(self) -> "Peer":
         self._stderr = tempfile.TemporaryFile("w+")
         self._process = subprocess.Popen(
             [sys.executable, "-m", "studies.engines.peer_process", self.engine, str(self.side)],

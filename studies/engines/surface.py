@@ -1,7 +1,5 @@
 """A surface out of a depth camera's points: a sparse Gaussian process with its hyper-parameters, and an exact one."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Trials of contents in containers: each container has an offset of its own, as foil and filling have."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal

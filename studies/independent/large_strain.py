@@ -6,8 +6,6 @@ neo-hooke: mu / 2 (a^2 + b^2 + c^2 - 3 - 2 ln J) + lambda / 2 (ln J)^2 (Bonet an
 The stretch c across the sheet makes the stress there zero. At small strains mu and lambda are Lame's constants:
 Young's modulus E and Poisson's ratio nu are those of Hooke's law."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal

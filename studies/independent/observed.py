@@ -2,8 +2,6 @@
 
 Lengths in metres, a spacing of 1 cm."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

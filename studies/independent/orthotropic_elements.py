@@ -2,8 +2,6 @@
 direction, and their stiffness may differ from place to place: bilinear elements on their own mesh, and their own
 errors."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal

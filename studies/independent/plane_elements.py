@@ -1,7 +1,5 @@
 """Small deformations of an orthotropic rectangle in plane stress or plane strain: quadratic elements, SciPy alone."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 from scipy.sparse import coo_matrix

@@ -3,8 +3,6 @@
 Borders are straight or wavy stripes, Voronoi cells, crossed lines or patches of any smooth outline. A contact averages
 stiffness over a disc; foam scatters as a sum of random waves."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

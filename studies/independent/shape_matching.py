@@ -3,8 +3,6 @@
 Given the rotation of each cluster, the fixed point of the goal positions is linear in the particles and the same in
 each coordinate. So rotations and positions are found in turn, with one factorisation."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np

@@ -7,8 +7,6 @@ bonded to its table) and E(t) any law. The integral is taken by the mean of E ov
 taken from `deformscope`: the laws below are functions of time alone, and no branch is a filter.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """beta and theta of one deformed shape together, by derivatives of its error."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

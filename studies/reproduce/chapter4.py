@@ -4,8 +4,6 @@ python -m studies reproduce chapter4
 python -m studies reproduce chapter4 --quick --out figures --json -
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The figures of Thesis chapter 4: beta over hardness, dents next to each other, and fields of beta with the truth."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

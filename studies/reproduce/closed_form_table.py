@@ -4,8 +4,6 @@ A touch is the scene's stiffness (Hertz: the power 2/3 of its modulus), its mean
 and the laboratory's hidden errors (`LabErrors`: scatter, gain and arm). A stiffness above the arm's resolution is a
 lower bound. Posterior, planner and stop rule are those of `explore`."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 

@@ -2,8 +2,6 @@
 
 The laboratory was not tuned for these findings: a different result is reported as such."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The thesis's experiment on containers in the laboratory: 731 squeezes of five contents (Thesis 5.1)."""
 
-from __future__ import annotations
-
 import dataclasses
 import gc
 from collections.abc import Callable, Sequence

@@ -4,8 +4,6 @@ python -m studies reproduce containers --out runs/containers --resume runs/conta
 python -m studies reproduce containers --trials 100 --cylinders 0 --quick
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -6,8 +6,6 @@ python -m studies reproduce cubes --quick --out figures --json -
 python -m studies reproduce cubes --pairs cube_nu0.25.npz cube_nu0.4.npz
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

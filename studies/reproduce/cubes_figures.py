@@ -1,8 +1,6 @@
 """Figures 3.10 and 3.11 and table 3.2 of the thesis from this reproduction's cubes, and one cluster compared with
 many."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path

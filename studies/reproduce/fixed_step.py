@@ -3,8 +3,6 @@
 Choices that the thesis does not state: the error is in centimetres, as in Thesis figure 3.11, and the slope is a
 central difference. The search stops when the slope's size is below epsilon, and stays in the range."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ move; dense flow carries 7 x 15 particles; the last pose is fitted at cluster si
 times: from the flow and from the true positions, which shows the flow's error. Held particles are either the one below
 the clamp's middle, as in the thesis, or all below the clamp. The force of the push gives the model's k."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -292,7 +290,7 @@ class Control:
     true_px: FloatArray
     fits: tuple[FoamFit, ...]
 
-    def moved_mm(self, unchanged: Control) -> float:
+    def moved_mm(self, unchanged: "Control") -> float:
         """Root mean square distance of its particles from the unchanged foam's."""
         return float(np.sqrt(np.mean(np.sum((self.true_px - unchanged.true_px) ** 2, axis=1)))) / PX_PER_CM * 10.0
 

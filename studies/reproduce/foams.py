@@ -6,8 +6,6 @@ python -m studies reproduce foams --out runs/foams --json foams.json --seed 1 --
 deformscope calibrate beta runs/foams/images/24-80 --roi 30,50,750,350 --grid 7x15 --contact 330,50,150,50
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The figures of experiment 3.B: figure 3.14 with intervals, stiffness, particles, one property at a time."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Random slabs, 24 pokes of each: halves, a stiff or a soft disc, a gradual change, or one material."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal, get_args
 

@@ -3,8 +3,6 @@
 A slab of one modulus is fitted to a single poke, halves and a disc in a softer slab to 12 of 24. The predicted pokes
 have other tips, forces and places, some near the border."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ python -m studies reproduce pokes
 python -m studies reproduce pokes --quick --out figures --json -
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -5,8 +5,6 @@ Nine-node quadrilaterals (quadratic: they do not lock), plane strain; the equili
 does not slip; the rest of the surface and both sides are free. Left and right mirror each other, so the right half is
 computed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

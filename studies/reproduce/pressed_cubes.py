@@ -4,8 +4,6 @@ The thesis's cubes are made here with finite elements, or any others come from p
 calibration of theta for one quadratic cluster (as in the thesis). For comparison it has the lowest error of a dense
 grid. It also has the lowest errors of one cluster and of overlapping clusters if beta is fitted too."""
 
-from __future__ import annotations
-
 import functools
 import re
 import time

@@ -1,7 +1,5 @@
 """The thesis's two searches and that of deformscope on the same data: the value of each, and its cost."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass

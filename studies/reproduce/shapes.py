@@ -6,8 +6,6 @@
 The recording has them on timelines of beta and theta; `python -m studies figures` draws them.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

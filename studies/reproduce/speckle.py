@@ -9,8 +9,6 @@ contact there. The clamp is drawn in front.
 
 Image axes: x to the right, y down; whole numbers are pixels' middles [px]."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 

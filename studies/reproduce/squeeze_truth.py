@@ -1,8 +1,6 @@
 """Squeezes of the laboratory compared with the simulated truth: their events, the tracked container, the change of
 depth."""
 
-from __future__ import annotations
-
 import dataclasses
 import gc
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Errors of events, poses and changes of depth of simulated squeezes, as a picture."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -4,8 +4,6 @@ python -m studies reproduce squeezes --out runs/squeezes
 deformscope classify runs/squeezes/squeezes --model runs/containers/five/contents.npz
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

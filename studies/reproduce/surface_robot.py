@@ -1,7 +1,5 @@
 """The laboratory as a robot without wires, which gives the readings of a touch and a look immediately. For studies."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 

@@ -6,8 +6,6 @@ python -m studies reproduce table41 --scenes two-60-150,disc --planners regions,
 python -m studies reproduce table41 --resume runs/table41.jsonl
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

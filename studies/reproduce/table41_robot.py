@@ -3,8 +3,6 @@ seeds.
 
 Touches are pressed into finite elements and estimated like those of a robot, without wires (`explore_lab`)."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Explorations of table 4.1: their options and their outcome."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from deformscope.config.explore import Pace

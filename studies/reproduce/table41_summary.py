@@ -1,8 +1,6 @@
 """The rows of table 4.1: medians and shares over layouts after some numbers of touches, for each planner, and the maps'
 quality over touches."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal

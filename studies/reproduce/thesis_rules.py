@@ -5,8 +5,6 @@ Figure 4.5: one touch of 3 N at the same place of each foam, and its beta with s
 the model. Figures 4.4, 4.6, 4.7 and table 4.1: the input of the sweep, the dents, and the fields of beta of the six
 scenarios. Touches are pressed into finite elements and seen by the laboratory's camera, without wires."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -174,7 +172,7 @@ class Scenario:
     hardness: tuple[str, ...]
     cell_m: float
     variance: FloatArray
-    fields: dict[str, BetaField]
+    fields: "dict[str, BetaField]"
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,8 +3,6 @@
 A clock for studies without wires. Not included: the arm's and the sensor's delays, turning the stick, and pictures in
 which the dent still moves."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

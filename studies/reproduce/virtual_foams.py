@@ -17,8 +17,6 @@ Neither parameter rises or falls with hardness (rank correlations over the five 
 introduce no trend of beta.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """beta of a touch, from the dent that the camera saw during the press, by the model in the options."""
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """The depth images of looks and dents: gathered during a look or a dwell, and the lens of their camera."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator
 

@@ -3,8 +3,6 @@
 `explore` is an experiment (`deformscope.session`): it commands a robot, has `ExplorationStages` computed, and yields
 their results. The loop is the same for simulated, recorded and real robots and stages."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import BrokenExecutor, Future
@@ -112,7 +110,7 @@ class TouchPlanner(Protocol):
     """An own planner, for `deformscope.explore(..., planner=...)`. The planner's touches are checked like any
     others and recorded, so that a replay repeats them."""
 
-    def __call__(self, planned: PlannedTouch, so_far: Exploration) -> Sequence[float] | None:
+    def __call__(self, planned: PlannedTouch, so_far: "Exploration") -> Sequence[float] | None:
         """The next place (x, y) on the surface [m]; None = as planned.
 
         planned: by "regions", with gain, cost [s] and exclusion of each cell; so_far: the surface, touches and maps.
@@ -122,7 +120,7 @@ class TouchPlanner(Protocol):
 class PlannedBy(Unsteered):
     """Touches the places that a planner chooses."""
 
-    def __init__(self, planner: TouchPlanner, so_far: Exploration) -> None:
+    def __init__(self, planner: TouchPlanner, so_far: "Exploration") -> None:
         self._planner, self._so_far, self._refused = planner, so_far, False
 
     def choose(self, plan: PlannedTouch | None, touches: int) -> Future[NextMove]:

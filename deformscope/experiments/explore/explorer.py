@@ -3,8 +3,6 @@
 If a stage fails on one touch, only its result is missing. The failure is a result like the others (`StageFailure`), and
 the exploration continues with the usable touches, until too many in a row fail."""
 
-from __future__ import annotations
-
 import dataclasses
 import time
 from collections.abc import Callable, Collection, Mapping
@@ -81,7 +79,7 @@ class Computed:
 class ExplorationStages:
     """The computations of `explore`, from the look on, with the geometry of its robot."""
 
-    def __init__(self, unseen: UnseenSurface, geometry: Geometry) -> None:
+    def __init__(self, unseen: "UnseenSurface", geometry: Geometry) -> None:
         self.geometry, self.unseen = geometry, unseen
         self._explorer: Explorer | None = None
         self._reachable: BoolArray | None = None
@@ -90,7 +88,7 @@ class ExplorationStages:
         self._reported = 0
 
     @property
-    def explorer(self) -> Explorer:
+    def explorer(self) -> "Explorer":
         """The explorer of the surface that the look measured. The explorer of the surface. Raises InputError before a
         look."""
         if self._explorer is None:
@@ -222,7 +220,7 @@ class UnseenSurface:
         self.search: SurfaceSearch = options.search(self.grid, error)
         self.failed = {(one.touch, one.stage): one for one in failed}
 
-    def look(self, looked: SurfaceMeasurement) -> Explorer:
+    def look(self, looked: SurfaceMeasurement) -> "Explorer":
         """Add the surface before any touch. Raises InputError if it cannot be fitted."""
         return Explorer(
             self, SeenSurface.of(looked, self.grid, self.options, on_level_layer=self.search.on_level_layer)

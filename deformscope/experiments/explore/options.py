@@ -1,7 +1,5 @@
 """How to explore: the options, common lengths, the mapped quantity, and the strategies that the options choose."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from dataclasses import dataclass

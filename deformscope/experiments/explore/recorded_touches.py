@@ -4,8 +4,6 @@ force sensor and depth camera.
 It selects the frames of a recording that `touching_robot` would have used for a look and touches, so that the same
 results are computed."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future

@@ -1,7 +1,5 @@
 """Reach of a robot, and its readings of looks and touches, for robots that give measurements or frames."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol

@@ -1,8 +1,6 @@
 """The goal of an exploration, and its posterior by the touches so far: regions of one stiffness each, the thesis's
 regions of beta, or inclusions below a homogeneous surface. `ExploreOptions.search` chooses."""
 
-from __future__ import annotations
-
 import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -51,11 +49,11 @@ class SurfaceSearch(ABC):
         """Regions with their levels and intervals."""
         return self.posterior.region_map()
 
-    def with_touch(self, touch: StiffnessSample) -> SurfaceSearch:
+    def with_touch(self, touch: StiffnessSample) -> "SurfaceSearch":
         """The search after one more touch."""
         return dataclasses.replace(self, posterior=self.posterior.with_touch(touch))
 
-    def with_beta(self, dented_m: FloatArray, beta: float) -> SurfaceSearch:
+    def with_beta(self, dented_m: FloatArray, beta: float) -> "SurfaceSearch":
         """The search after a touch that dented places (m, 2) [m] and has this beta."""
         return self
 
@@ -120,7 +118,7 @@ class ThesisSearch(RegionSearch):
     def planner(self, touches: int) -> Callable[..., TouchChoice]:
         return partial(plan_thesis_touch, self.thesis, self.posterior, seed=self.seed + touches)
 
-    def with_beta(self, dented_m: FloatArray, beta: float) -> ThesisSearch:
+    def with_beta(self, dented_m: FloatArray, beta: float) -> "ThesisSearch":
         return dataclasses.replace(self, thesis=self.thesis.with_touch(dented_m, beta))
 
     def beta_field(

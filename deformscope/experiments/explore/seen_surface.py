@@ -1,8 +1,6 @@
 """The surface as the camera measured it before any touch, and its use for touches: targets, height of the path, and
 effect of the foam's shape on stiffness."""
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass
 
@@ -50,7 +48,7 @@ class SeenSurface:
     @classmethod
     def of(
         cls, looked: SurfaceMeasurement, grid: MapGrid, options: ExploreOptions, *, on_level_layer: bool
-    ) -> SeenSurface:
+    ) -> "SeenSurface":
         """Fit it. on_level_layer: the search needs that comparison; a narrow border needs it as well"""
         process = fit_surface(
             looked.points_m, noise_m=looked.noise_m, within_m=((0.0, 0.0), grid.size_m), outlier_sd=5.0

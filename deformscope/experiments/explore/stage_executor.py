@@ -1,7 +1,5 @@
 """Where an exploration's stages are computed: in a child process, or in its loop."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator
 from concurrent.futures import Executor

@@ -1,8 +1,6 @@
 """Fits to one measured touch: its contact and its creep, and its reported estimate; the forecast of one before it is
 made."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

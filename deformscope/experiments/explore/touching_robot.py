@@ -1,7 +1,5 @@
 """Opened devices that look and touch: on hardware, on doubles, and in the laboratory on one simulated clock."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -61,7 +59,7 @@ class CheckFirst:
 @contextlib.contextmanager
 def touching_robot(
     setup: Setup, source: RigSource, options: ExploreOptions, on_cycle: Callable[[], None] = lambda: None
-) -> Iterator[TouchingRobot]:
+) -> "Iterator[TouchingRobot]":
     """The robot over the devices of an open source. With devices on their own clock its control loop runs in a thread
     until the end of the context. on_cycle: called in every control period"""
     robot = TouchingRobot(lambda watch: setup.robot(source, watch), setup, options, on_cycle)

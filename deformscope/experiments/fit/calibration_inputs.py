@@ -1,7 +1,5 @@
 """Meaning of the options of `calibrate beta|theta`: the frames to read, their particles, and the fit."""
 
-from __future__ import annotations
-
 import dataclasses
 import tomllib
 from collections.abc import Callable, Sequence

@@ -3,8 +3,6 @@
 The sweep fits the last frame, as in the thesis (`whole_motion` fits every frame). The best value is then simulated at
 every frame, so that the timeline `frame` shows simulated next to observed particles."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass

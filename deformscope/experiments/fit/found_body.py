@@ -1,7 +1,5 @@
 """The body in a sequence of images, found where no option names it."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from contextlib import suppress

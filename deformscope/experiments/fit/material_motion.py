@@ -1,8 +1,6 @@
 """Anisotropy, fields of stiffness, yielding and recovery from tracked images, or from files: one fit, and its
 comparison with every frame."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,8 +1,6 @@
 """Pairs of rest and deformed shapes without frames, each fitted alone or all to one value; and pokes of one surface: a
 body of layers below it that can be poked elsewhere."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 

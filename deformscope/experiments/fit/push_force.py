@@ -1,7 +1,5 @@
 """The force on the contact of a video: at the fitted frame, or a log over the whole motion."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass

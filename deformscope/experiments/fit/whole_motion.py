@@ -5,8 +5,6 @@ Every frame has its own held positions; beta, clusters and the held set are shar
 size and held set are selected by static states, which do not depend on alpha and dt. alpha and dt are selected
 afterwards, by time stepping through the frames."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -2,8 +2,6 @@
 
 A stage is a pure function of the frames that its result names: the same frames give the same result to the last bit."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -174,7 +172,7 @@ def _device_for(stage: str, kind: Kind, wanted: str, rig: Rig, kinds: Mapping[st
     return wanted or (rig.camera.device if rig.camera.device in names else names[0])
 
 
-def stages_of(options: LiveOptions, streams: Sequence[Stream]) -> tuple[Stage, ...]:
+def stages_of(options: LiveOptions, streams: Sequence[Stream]) -> "tuple[Stage, ...]":
     """The stages that run on these devices, which are open or were recorded."""
     pads = {stream.device: stream for stream in streams if stream.kind == "tactile"}
     return tuple(Stage(name, options, pads[options.tactile] if name == "tactile" else None) for name in options.names)
@@ -194,7 +192,7 @@ class Stage:
         device: str = getattr(self.options, NEEDS[self.name][0])
         return device
 
-    def chooser(self) -> Chooser:
+    def chooser(self) -> "Chooser":
         """Selects its frames from all items."""
         if self.name == "contact":
             return ApproachChooser(self.options.wrench, self.options.arm)

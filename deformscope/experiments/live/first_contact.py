@@ -1,7 +1,5 @@
 """Time of the first contact, by a recording's force sensors and tactile arrays."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -11,8 +11,6 @@ recording again and compares it to the last bit. A stage that fails gives a `Sta
 items.
 """
 
-from __future__ import annotations
-
 import contextlib
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -110,7 +108,7 @@ class StageCounts:
 
 
 def live_stages(
-    stages: Sequence[Stage],
+    stages: "Sequence[Stage]",
     executors: Mapping[str, StageExecutor],
     ended: Callable[[Sequence[Item]], bool],
     *,
@@ -144,7 +142,7 @@ def live_stages(
 class _Running:
     """A stage, its present computation, and the outcomes of its frames so far."""
 
-    def __init__(self, stage: Stage, executors: StageExecutor, lossless: bool, clock: Callable[[], int]) -> None:
+    def __init__(self, stage: "Stage", executors: StageExecutor, lossless: bool, clock: Callable[[], int]) -> None:
         self.stage = stage
         self._executor, self._lossless, self._clock = executors, lossless, clock
         self._began_ns, self._first_ns = clock(), 0
@@ -276,7 +274,7 @@ def used_frames(frames: Sequence[Frame]) -> tuple[UsedFrames, ...]:
     return tuple(found)
 
 
-def compute_stage(stage: Stage, packed: Any, lossless: bool) -> tuple[object, int]:
+def compute_stage(stage: "Stage", packed: Any, lossless: bool) -> tuple[object, int]:
     """A stage's result from live frames, and when it was ready [ns]. A failure is a result too."""
     from deformscope.experiments.live.device_stages import REFERENCE, compute
 

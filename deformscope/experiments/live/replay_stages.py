@@ -1,7 +1,5 @@
 """The results of stages that ran during a recording, computed again from the recorded frames that they name."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

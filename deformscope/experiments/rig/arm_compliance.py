@@ -1,7 +1,5 @@
 """The compliance of an arm, from touches of something rigid, and whether camera and arm agree about its place."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 A person follows each request, frames are recorded for a moment, and the next request follows. Nothing here commands a
 robot: the arm is moved by its joystick, by `deformscope arm jog`, or by the laboratory."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field

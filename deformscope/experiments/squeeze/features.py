@@ -1,7 +1,5 @@
 """From the frames of a squeeze to its features: the same function while the hand squeezes and in a replay."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
@@ -54,7 +52,7 @@ class SqueezeGeometry:
     T_arm_table: FloatArray | None = None
 
     @classmethod
-    def of(cls, setup: SqueezeSetup) -> SqueezeGeometry:
+    def of(cls, setup: SqueezeSetup) -> "SqueezeGeometry":
         """The geometry of a setup."""
         return cls(
             setup.hand,
@@ -74,7 +72,7 @@ class SqueezeGeometry:
         return msgspec.json.decode(msgspec.json.encode(values, enc_hook=lambda array: array.tolist()))  # type: ignore[no-any-return]
 
     @classmethod
-    def from_json(cls, given: Mapping[str, Any]) -> SqueezeGeometry:
+    def from_json(cls, given: Mapping[str, Any]) -> "SqueezeGeometry":
         """The reverse of `as_json`. Raises InputError where something is missing."""
         try:
             poses: dict[str, Any] = {

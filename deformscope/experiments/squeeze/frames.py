@@ -1,7 +1,5 @@
 """Device items of a squeeze, stored for its features in the same way during a run and in a replay."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field
@@ -44,7 +42,7 @@ class TactileSource:
     texel_m: tuple[float, float]
 
     @classmethod
-    def of(cls, streams: Sequence[Stream], device: str, fingers: Sequence[int]) -> TactileSource:
+    def of(cls, streams: Sequence[Stream], device: str, fingers: Sequence[int]) -> "TactileSource":
         """Raises InputError if the device lacks such pads."""
         known = next(stream.pads for stream in streams if stream.device == device and stream.kind == "tactile")
         places = [_distal(known, finger, device) for finger in fingers]

@@ -1,7 +1,5 @@
 """The container tracked during the squeeze, outside the loop, and the recorded tracks in a replay."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 from collections import deque

@@ -3,8 +3,6 @@ The hand is brought there under the same supervisor as for exploring, and withdr
 
 `Placing` has the two halves of an experiment, before and after the squeeze; `PlacingArm` carries out its commands."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace

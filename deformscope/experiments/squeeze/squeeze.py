@@ -2,8 +2,6 @@
 
 `squeeze` is an experiment (`deformscope.session`): it commands a hand, requests the features, and yields them."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import datetime

@@ -1,7 +1,5 @@
 """Opened devices that squeeze: on hardware, on doubles, and in the laboratory on one simulated clock."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
@@ -68,7 +66,7 @@ class SqueezeEnded(InputError):
 
 
 @contextlib.contextmanager
-def feature_executor(setup: SqueezeSetup, hand: SqueezingHand) -> Iterator[Executor]:
+def feature_executor(setup: SqueezeSetup, hand: "SqueezingHand") -> Iterator[Executor]:
     """The computation of the features. Devices on their own clock do not wait: hand and features then have a thread
     each."""
     if not setup.runs_itself:

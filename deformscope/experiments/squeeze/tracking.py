@@ -2,8 +2,6 @@
 the rigid model (Thesis ch. 2). It is the same function of the same images while the hand squeezes, afterwards, and when
 a recording is replayed."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -66,7 +64,7 @@ class TrackedImage:
     measured: DepthChange | None
     costs: tuple[StageCost, ...] = ()
 
-    def after(self, lag_s: float, skipped: int = 0, costs: tuple[StageCost, ...] = ()) -> TrackedImage:
+    def after(self, lag_s: float, skipped: int = 0, costs: tuple[StageCost, ...] = ()) -> "TrackedImage":
         """The result with its delay after the image, and the number of images before it that were left out."""
         known = dataclasses.replace(self.container, lag_s=lag_s, skipped=skipped)
         return dataclasses.replace(self, container=known, costs=costs)

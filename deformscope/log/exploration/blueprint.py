@@ -1,7 +1,5 @@
 """The view of an exploration in one window: the robot at the left, its estimates at the right."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Literal
 

@@ -3,8 +3,6 @@
 display/scene/beside   where the regions end, on the surface in space: recorded, and with the other settings
 display/beside/... the same as a picture, and the result of each touch"""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Results as pictures, which `deformscope.pictures.exploration` draws, as lanes over time and as lines of text."""
 
-from __future__ import annotations
-
 import numpy as np
 import rerun as rr
 

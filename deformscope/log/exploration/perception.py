@@ -6,8 +6,6 @@ display/perception/surface/...   the surface under the newest touch, coloured by
 display/perception/error         error over beta
 display/perception/maps/... each map as an image on the surface, with its values as `value`"""
 
-from __future__ import annotations
-
 import numpy as np
 import rerun as rr
 from scipy.spatial.transform import Rotation

@@ -20,8 +20,6 @@ measurement of a touch is at the frame of its dent. `deformscope.recording.items
     display/perception/...                likewise (`deformscope.log.exploration.perception`)
     display/lumps/map|missed|summary where inclusions are sought: found ones, and the detection limit, as text"""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 

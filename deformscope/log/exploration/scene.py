@@ -3,8 +3,6 @@
 The surface frame is the root of all frames, `tf#/`. Entities need no transform of their own, and the scene's one
 transform places an arm's base in it."""
 
-from __future__ import annotations
-
 import numpy as np
 import rerun as rr
 from scipy.spatial import cKDTree

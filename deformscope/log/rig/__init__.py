@@ -17,8 +17,6 @@ also at `frame`, their place in the device's own stream. In an exploration's rec
     health                    a table for people; below it each device's counters
     display/...               false colours, labels and transforms, all derived from the above"""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from typing import Any
 

@@ -2,8 +2,6 @@
 
 aligned/QUANTITY/a|b/DEVICE    a series of the first, of the second recording"""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """An arm's shape, which moves with its joints."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The view of a rig: pictures above, plots and the devices' health below, only for existing devices."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, Literal
 

@@ -1,7 +1,5 @@
 """Images: colour as JPEG or without loss, depth always without loss."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Columns of a batch: one call to rerun for many rows of an entity."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any

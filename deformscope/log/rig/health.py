@@ -1,8 +1,6 @@
 """Health of the devices: a table as text, coloured lanes over time, and every counter as a number; the bytes on the
 wire, the times of the connection, and remarks of people."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

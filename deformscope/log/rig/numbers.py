@@ -1,7 +1,5 @@
 """Numeric measurements: every field of a frame, the plotted series, and those in a view."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pressures on a hand's pads, as one picture of the hand: fingers next to each other, distal above proximal pads."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -39,7 +37,7 @@ class Hand:
     texel_mm: tuple[float, float]
 
     @classmethod
-    def of(cls, pads: Sequence[Pad]) -> Hand:
+    def of(cls, pads: Sequence[Pad]) -> "Hand":
         """The picture of a hand: fingers from left to right, with the part farthest from the palm on top."""
         fingers: dict[int, list[int]] = {}
         for place in sorted(range(len(pads)), key=lambda place: (pads[place].finger, -pads[place].part)):
@@ -62,7 +60,7 @@ class Hand:
         return cls(tuple(pads), tuple(corners), top - PART_GAP, left - FINGER_GAP, texel_mm)
 
     @classmethod
-    def of_shapes(cls, shapes: Sequence[tuple[int, ...]]) -> Hand:
+    def of_shapes(cls, shapes: Sequence[tuple[int, ...]]) -> "Hand":
         """Pads of which only the texels are known: they are drawn side by side."""
         texel_m = (TEXEL_MM * 1e-3, TEXEL_MM * 1e-3)
         return cls.of([Pad(f"pad {at}", shape[0], shape[1], texel_m, at, at, 0) for at, shape in enumerate(shapes)])

@@ -1,8 +1,6 @@
 """Results of a squeeze as lanes over time, pictures and text: phases, measurements, content, depth change (Thesis fig.
 2.6), and the tracked container over the depth image (fig. 2.8)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

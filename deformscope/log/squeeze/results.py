@@ -11,8 +11,6 @@ people.
     display/squeeze/change                  the depth change around the fingertip, data minus model (fig. 2.6)
     display/squeeze/measured|named measurements, and the classification of the content, as text"""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 

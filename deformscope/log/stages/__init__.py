@@ -8,8 +8,6 @@ A result has the time, and the place on `frame`, of the newest frame from which 
     display/tactile/DEVICE/contact   the centres of pressure, on the picture of the hand
     display/stage/summary        a table: newest results, how many, how far behind"""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

@@ -1,8 +1,6 @@
 """Results of stages as marks: flow, particles and fields over the image that they were found in; centres of pressure on
 the picture of the hand, with force and contact area of each pad over time."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

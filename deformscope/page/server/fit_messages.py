@@ -1,7 +1,5 @@
 """Messages between a page and its server for the settings of a fit; part of `deformscope.page.server.messages`."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 import msgspec

@@ -3,8 +3,6 @@
 Other programs of this machine and other sites in its browsers lack the token of the address. A site whose own name
 resolves to 127.0.0.1 (DNS rebinding) sends that name as Host; a page of another origin sends that as Origin."""
 
-from __future__ import annotations
-
 import asyncio
 import hmac
 import socket

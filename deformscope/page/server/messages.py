@@ -3,8 +3,6 @@
 A page says `Hello` first. From then on it gets a `PageState` with every change, and a `CommandReply` to each command;
 its `Beat`s get no reply."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 import msgspec

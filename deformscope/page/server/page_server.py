@@ -6,8 +6,6 @@
 /TOKEN/session           websocket: the state to the page, commands from it (`deformscope.page.server.messages`)
 /TOKEN/data           websocket: pieces of the recording to the viewer in the page, `Drawn` from it"""
 
-from __future__ import annotations
-
 import asyncio
 import atexit
 import itertools
@@ -87,7 +85,7 @@ class PageServer:
         """The page's address in one line for people."""
         return f"viewer: {self.address} (open it in a browser on this machine)"
 
-    def __enter__(self) -> PageServer:
+    def __enter__(self) -> "PageServer":
         self.open()
         return self
 

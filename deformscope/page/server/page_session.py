@@ -1,7 +1,5 @@
 """The state that every page shows and the commands that every page may give: one source of truth, on the server."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable

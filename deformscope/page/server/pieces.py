@@ -4,8 +4,6 @@ The maker of pieces never waits. A page is sent new data when it has drawn the e
 then: made while the page was drawing, it would be old. A page that is slow, hidden or frozen delays nothing, and no
 memory grows: data that it did not take in time are skipped and counted."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import deque

@@ -1,7 +1,5 @@
 """rerun's programs in the installed wheel: its viewer for windows, and the web viewer for pages that it holds."""
 
-from __future__ import annotations
-
 import importlib.util
 import mmap
 import os

@@ -1,8 +1,6 @@
 """Write a recording in another format: into a draft in the same parent folder, which takes its name once it is
 complete."""
 
-from __future__ import annotations
-
 import dataclasses
 import errno
 import json

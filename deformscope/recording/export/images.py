@@ -1,7 +1,5 @@
 """The images of a recording as files, byte for byte as they were recorded, and as videos."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Description in an export, for `import`: `export.json`, or the metadata of an MCAP."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import msgspec

@@ -5,8 +5,6 @@ ROS: wrenches, joint states, images, camera calibrations, points, transforms and
 metres, radians and the frames of REP 103 and 105 (`world`; cameras as `DEVICE_optical_frame`: z forward, x right, y
 down)."""
 
-from __future__ import annotations
-
 import inspect
 import json
 import logging

@@ -1,8 +1,6 @@
 """Streams as CSV, Parquet and NumPy files, one for each stream; rows are written when they come, so that memory stays
 bounded."""
 
-from __future__ import annotations
-
 import json
 import zipfile
 from collections.abc import Callable, Iterable, Iterator

@@ -1,7 +1,5 @@
 """The model at a chosen value of its parameter, compared with the best one."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -2,8 +2,6 @@
 
 The sweep is the thesis's Algorithm 3; `method="gradient"` serves Algorithm 2's purpose. The error is eq. 3.18, 3.19."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial

@@ -7,8 +7,6 @@ as t^n (Nutting 1921), with n about 0 as log(1 + t / t0), and reaches no plateau
 Times have a log-uniform prior from a part of the approach's duration to ten holds, which is a sum of Gaussians about
 nodes: for every choice of nodes the parameters have one likeliest value."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations
@@ -91,7 +89,7 @@ class Endless:
         return len(self.log_times)
 
     @classmethod
-    def over(cls, approach_s: float, hold_s: float, begins: float, prior: float) -> Endless:
+    def over(cls, approach_s: float, hold_s: float, begins: float, prior: float) -> "Endless":
         """begins: time at which the spectrum begins, over the approach's duration"""
         first, last = np.log(begins * approach_s), np.log(ENDLESS_HOLDS * hold_s)
         log_times = np.arange(first, max(last, first + 2.0 * ENDLESS_SPACING), ENDLESS_SPACING)

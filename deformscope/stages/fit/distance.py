@@ -1,7 +1,5 @@
 """How far simulated particles are from observed ones."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

@@ -12,8 +12,6 @@ values depend on the error measure or on the body's load, so that the verdict is
 only named.
 - A body of an unlikely size has the same beta and theta in any unit: it is named, and its stiffness is at most weak."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 

@@ -3,8 +3,6 @@
 Without gravity alpha and dt do not alter a static state. They determine how fast a body reaches it, so that they matter
 only if frames follow each other within few time steps."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

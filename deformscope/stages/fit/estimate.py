@@ -1,7 +1,5 @@
 """Result of a calibration: the parameter, its interval, the verdicts, and their evidence."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -114,7 +112,7 @@ class Posterior:
         mass = np.concatenate([[0.0], np.cumsum(steps)])
         return np.asarray(mass / mass[-1])
 
-    def thinned(self, count: int) -> Posterior:
+    def thinned(self, count: int) -> "Posterior":
         """The posterior at this number of its values at most, evenly chosen."""
         rows = np.unique(np.linspace(0, len(self.parameter) - 1, count).round().astype(int))
         return Posterior(self.parameter[rows], self.density[rows])

@@ -1,7 +1,5 @@
 """Stiffness from force, since position alone does not identify it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 Blocks, not single particles, because neighbours share errors: a particle whose neighbours were fitted is not held out.
 Particles are left out, not frames, whose errors are similar: a frame left out is no independent test."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

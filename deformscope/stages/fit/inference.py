@@ -11,8 +11,6 @@ If misfit exceeds the noise, a few projections of the residuals, which the param
 noise of the first step. In that case an estimate is no sharper than that of least squares. Weighting every detail by a
 guessed covariance (as generalised least squares does) would treat the finest part of a misfit as information."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

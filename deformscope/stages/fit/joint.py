@@ -3,8 +3,6 @@
 Volume is conserved by projection here: with eq. 3.17 overlapping clusters at high beta and theta diverge. Simulated
 states between knots are cubic splines in -log(1 - beta) and theta; the likelihood is that for one parameter."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial

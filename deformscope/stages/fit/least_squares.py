@@ -5,8 +5,6 @@ derivatives and one for steps of several lengths, of which the best is taken. Fo
 is the most likely. The sum of squares is smooth, unlike the average distance (Thesis eq. 3.18), so that its curvature
 is known."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

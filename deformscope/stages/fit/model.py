@@ -1,7 +1,5 @@
 """Input of a fit: one observed manipulation of a body, the fitted model, and the method."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any, Literal
 

@@ -1,7 +1,5 @@
 """One frame of a motion: positions of its particles, and the parameters that were fitted to them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray

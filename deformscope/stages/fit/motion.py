@@ -1,7 +1,5 @@
 """A recorded motion: positions of particles in each frame, and which of them were prescribed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

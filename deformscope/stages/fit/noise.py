@@ -18,8 +18,6 @@ decomposition for all sizes of the field, all residuals and all coordinates.
 In addition a tool or a camera may displace all positions together (`deformscope.stages.fit.systematic`): the effect of
 such displacements on r is a few vectors, whose factors are integrated out. How large they are is another choice."""
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass
 from itertools import product
@@ -119,7 +117,7 @@ class Measured:
     touched: BoolArray | None = None
     shift: float = 0.0
 
-    def some(self, pick: IntArray) -> Measured:
+    def some(self, pick: IntArray) -> "Measured":
         """The measurement of only the free particles at indices (n,)."""
         noise = None if self.noise is None else self.noise[pick]
         return dataclasses.replace(self, rest=self.rest[pick], noise=noise)

@@ -7,8 +7,6 @@ residual is far from theirs is left out like an unseen one, and the fit is repea
 there are, the nearer are those that are sought, by the share of right ones among them; of clean Gaussian data hardly an
 observation loses a particle. Smaller outliers stay in, where they count as noise."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field

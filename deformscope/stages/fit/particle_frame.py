@@ -1,7 +1,5 @@
 """The particles of one moment in numbers: where they were seen and simulated, and how the material is strained."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

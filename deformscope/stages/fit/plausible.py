@@ -2,8 +2,6 @@
 
 A fit does not show a user's mistakes: shapes are the same in millimetres, and converge as well."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray

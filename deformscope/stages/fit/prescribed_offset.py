@@ -6,8 +6,6 @@ explanations of the residuals (`deformscope.stages.fit.noise`). If twice the log
 explains, the particle counts as wrong. Its position is then estimated, and the remaining error is a part of the
 interval, like the noise of the other held particles."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator, Sequence
 

@@ -1,7 +1,5 @@
 """Branches of a creep compliance: strengths and retardation times, and the relaxation that follows from them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Self

@@ -1,7 +1,5 @@
 """Residuals of an observation: particles that count, model of errors, and effect of wrong prescribed positions."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 

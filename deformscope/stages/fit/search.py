@@ -2,8 +2,6 @@
 
 The sweep is the thesis's Algorithm 3, the descent serves Algorithm 2's purpose. The error is eq. 3.18, 3.19."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -93,7 +91,7 @@ class Search:
             found |= {row: part_of(state, index, len(parameter)) for index, row in enumerate(rows)}
         return [found[row] for row in range(len(self.seen))]
 
-    def only(self, rows: IntArray, weight: FloatArray) -> Search:
+    def only(self, rows: IntArray, weight: FloatArray) -> "Search":
         """The search over only the observations at rows (n,), weighted by `weight` (n,), with the candidates so far."""
         some = copy.copy(self)
         some.seen = [self.seen[row] for row in rows]

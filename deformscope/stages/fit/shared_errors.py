@@ -21,8 +21,6 @@ all frames share they cover 87 %; width and error are those of the last frame. W
 the rms error is 1.02 times that of the last frame (1.13 on 60 others), which alone would be best: the cost of
 estimating C."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

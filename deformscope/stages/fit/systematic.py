@@ -10,8 +10,6 @@ Each displacement has a Gaussian prior, so that together they add a covariance o
 displacements are always included. The effect of a tool's displacement on the residuals resembles that of a parameter,
 so that evidence would decide against an existing tool error (`python -m studies beta`, docs/results/coverage.md)."""
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np

@@ -8,8 +8,6 @@ of the likelihood's gain is the statistic of a likelihood ratio test (a score te
 betas about the fit). A split that explains more than noise does is fitted by simulation, and has to reduce the
 residuals much more."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations

@@ -1,7 +1,5 @@
 """A posterior as weighted draws around its likeliest parameters, and its evidence."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

@@ -7,8 +7,6 @@ region), in standard deviations of them. Therefore a touch inside excludes it, a
 parts have no; inclusions: twice as stiff or as soft is as rigid to the arm, and no touch there would show one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import cast
 

@@ -3,8 +3,6 @@
 Maps are on one grid over the surface: arrays (rows, columns) = (y, x), cell centres at (i + 0.5) cells. The surface
 frame has x, y in the table's plane and z up."""
 
-from __future__ import annotations
-
 import traceback
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -482,7 +480,7 @@ class StageFailure:
     trace: str
 
     @classmethod
-    def of(cls, stage: str, touch: int, error: Exception) -> StageFailure:
+    def of(cls, stage: str, touch: int, error: Exception) -> "StageFailure":
         """The failure of a stage at a touch, from the error that it raised."""
         words = " ".join(str(error).split())
         kind = "" if isinstance(error, InputError) else type(error).__name__ + ": " * bool(words)

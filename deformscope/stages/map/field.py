@@ -9,8 +9,6 @@ averages over the hyper-parameters' posterior, not only its mode, so that a map 
 uncertainty.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ hypothesis, the plan compares the expected reading there with that of foam alone
 touches. With a detected inclusion: the place with the most information about it. It stops when inclusions of the
 smallest and of any larger size are missed with less than `PlanOptions.missed`."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import cast
 

@@ -13,8 +13,6 @@ Assumptions, reported with every result: before any touch an inclusion has proba
 as stiff or as soft as the foam, or more, whose uppermost point is at most 2 cm deep, entirely within the field. Weaker
 or deeper ones may exist with any probability."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -147,7 +145,7 @@ class InclusionHypotheses:
     weight: FloatArray
 
     @classmethod
-    def on(cls, size_m: tuple[float, float], radii_m: Sequence[float]) -> InclusionHypotheses:
+    def on(cls, size_m: tuple[float, float], radii_m: Sequence[float]) -> "InclusionHypotheses":
         """Hypotheses on a surface: all radii are equally likely, and all places, depths and contrasts of a radius.
         Those of one place are adjacent."""
         cell_m = max(CENTRE_CELL_M, float(np.sqrt(size_m[0] * size_m[1] / MOST_CENTRES)))
@@ -169,7 +167,7 @@ class InclusionHypotheses:
     def __len__(self) -> int:
         return len(self.weight)
 
-    def shifts(self, places_m: FloatArray, contact_m: float) -> InclusionShifts:
+    def shifts(self, places_m: FloatArray, contact_m: float) -> "InclusionShifts":
         """Effect of each inclusion on touches at places (p, 2)."""
         to_log, to_exponent = law_response()
         log, exponent = (np.empty((len(places_m), len(self))) for _ in range(2))
@@ -241,7 +239,7 @@ class LeftOver:
     bent_noise: FloatArray
 
     @classmethod
-    def of(cls, touches: Sequence[StiffnessSample]) -> LeftOver:
+    def of(cls, touches: Sequence[StiffnessSample]) -> "LeftOver":
         """Residuals of the touches while no inclusion is assumed."""
         bent = np.array([HERTZ if touch.exponent is None else touch.exponent for touch in touches])
         bent_sd = np.array([NOT_KNOWN if touch.exponent is None else touch.exponent_sd for touch in touches])
@@ -257,7 +255,7 @@ class LeftOver:
         places = np.array([touch.xy_m for touch in touches]).reshape(-1, 2)
         return cls(places_m=places, read=read, noise=noise, bent=bent - STIFFER * about, bent_noise=bent_noise)
 
-    def without(self, shifts: InclusionShifts, weight: FloatArray) -> LeftOver:
+    def without(self, shifts: InclusionShifts, weight: FloatArray) -> "LeftOver":
         """Residuals without an inclusion of the posterior (j,), with its uncertainty."""
 
         def less(each: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -347,7 +345,7 @@ class InclusionPosterior:
         self.grid, self.prior, self.touches = grid, prior, touches
         self.radii_m = prior.radii_m(grid.size_m)
 
-    def with_touch(self, touch: StiffnessSample) -> InclusionPosterior:
+    def with_touch(self, touch: StiffnessSample) -> "InclusionPosterior":
         """The posterior after one more touch."""
         return InclusionPosterior(self.grid, self.prior, (*self.touches, touch))
 

@@ -1,7 +1,5 @@
 """Regions of a map matched with those of another."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 from scipy.optimize import linear_sum_assignment

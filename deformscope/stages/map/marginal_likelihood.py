@@ -9,8 +9,6 @@ frequency. Only these weights depend on the kernel. Therefore sums over points a
 hyper-parameters costs the same for a thousand and for a million points. For products of sines even that sum is cheap:
 sin a sin b = (cos(a - b) - cos(a + b)) / 2. Therefore sums of cosines over points give all products of two sines."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -2,8 +2,6 @@
 
 A frame is named by its device and the time at which it came, on the host's clock [ns]: no device gives two at once."""
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass
 
@@ -51,7 +49,7 @@ class TouchMeasurement:
     force_pose: ForcePose | None = None
 
     @property
-    def approach(self) -> TouchMeasurement:
+    def approach(self) -> "TouchMeasurement":
         """The measurement without its hold and its way back."""
         if self.loading is None:
             return self

@@ -1,8 +1,6 @@
 """Results between the frames of an exploration and its estimates (Thesis chapter 4): the pixels used, the surface under
 a touch, the error over beta, and the training data of the fields."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

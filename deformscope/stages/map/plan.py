@@ -5,8 +5,6 @@ follow that are expected to correct most of the map's labels per second. They sh
 inclusion that the map lacks (`detection_limit`), or repeat an uncertain touch. `thesis` and `inclusion_plan` have other
 rules."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal, cast

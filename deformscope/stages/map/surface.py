@@ -11,8 +11,6 @@ lattice without new information (closer than the kernel resolves, within roundin
 each axis's covariances.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

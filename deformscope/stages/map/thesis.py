@@ -10,8 +10,6 @@ Unlike `deformscope.stages.map.field` the field has mean 0 and fixed hyper-param
 independent measurements. Its variance shows the distance from dents, not the uncertainty of beta.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -173,7 +171,7 @@ class ThesisField:
     dented: tuple[int, ...] = ()
     width_m: float = SIGMA_W_M
 
-    def with_touch(self, dented_m: FloatArray, beta: float) -> ThesisField:
+    def with_touch(self, dented_m: FloatArray, beta: float) -> "ThesisField":
         """The field after a touch that dented places (m, 2) [m]."""
         return dataclasses.replace(
             self,

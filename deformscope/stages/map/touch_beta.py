@@ -9,8 +9,6 @@ depth. On linear foam the dent's shape does not depend on how firm the foam is, 
 modulus: the verdict `at-bound` is the normal answer.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,8 +1,6 @@
 """beta along each axis of a material, from pairs of rest and deformed positions; and whether a single beta is
 sufficient."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator, Sequence
 

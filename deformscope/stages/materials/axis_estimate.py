@@ -1,7 +1,5 @@
 """A material's axes from pairs: a beta along each, and whether a single one is sufficient."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import ClassVar
 

@@ -11,8 +11,6 @@ of 2^d clusters (design: sum of (1 - beta) E_rigid + beta E_affine). For small d
 the strain e in addition to the affine part, (1 - beta) |e q|^2 + the squared residual of the best linear map. K_c is
 the strain's, K_0 the resistance of a cell to other than linear deformations, p = log(1 - beta)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Literal

@@ -12,8 +12,6 @@ the cost of a border of that length. It also decides whether places differ. The 
 is stiffer along a direction, and one that was observed with a smooth error. An interval includes every description that
 the data do not rule out, so that a place without information retains its prior."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial

@@ -1,7 +1,5 @@
 """Stiffness of a body from place to place, by one deformation."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 

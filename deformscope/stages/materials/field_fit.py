@@ -7,8 +7,6 @@ Neighbours share errors of measurement, as in optical flow, and held positions a
 white noise or a random field, with the reach and smoothness of highest evidence, and a size that is found the same way.
 Left-out data are judged with the errors that they share with the others."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -227,7 +225,7 @@ class FieldFit:
         total = whole - part - part.T + by_held @ own @ by_held.T
         return np.asarray(noise.size * np.linalg.cholesky(total + 1e-9 * np.eye(len(total))))
 
-    def fit(self, prior: StiffnessPrior, noise: NoiseModel, start: FloatArray | None = None) -> FieldPoint:
+    def fit(self, prior: StiffnessPrior, noise: NoiseModel, start: FloatArray | None = None) -> "FieldPoint":
         """The likeliest parameters (p,) under a prior and a noise. start: (p,) parameters from which they are sought"""
         z: FloatArray = np.zeros(prior.root.shape[1])
         if start is not None:

@@ -1,7 +1,5 @@
 """Borders of materials: levels of a field of stiffness, and cells at borders assigned by the data."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -4,8 +4,6 @@ At the right time the log is a smooth function of the depth that starts at zero:
 time constant shows it. Offset and time constant with the least error are the estimate; their probability
 has the errors' own correlation in time."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

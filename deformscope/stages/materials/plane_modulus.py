@@ -8,8 +8,6 @@ stress or plane strain. The reaction is proportional to the modulus E, so that o
 gives E = F / (thickness R). The ratio follows from the free particles, and is marginalised where they do not show
 it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ clusters flow (`msm.materials`), and the free particles are compared. Without `c
 with it, for the time to the next frame.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from deformscope.arrays import FloatArray

@@ -3,8 +3,6 @@
 The pressed particles move along the push and come back after the release; nothing loads them any more once they rest
 again. A camera cannot show whether a resting tool still presses, so that a force, if there is one, decides instead."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Literal
 

@@ -16,8 +16,6 @@ the record is a reason, and a bound; a smaller probability of it opens intervals
 resembles a set.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal

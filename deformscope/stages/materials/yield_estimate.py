@@ -1,7 +1,5 @@
 """Results of yielding from a motion: the yield strain, parameters fitted with it, and their evidence."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import ClassVar
 

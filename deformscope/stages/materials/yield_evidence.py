@@ -1,7 +1,5 @@
 """Which yield strains the noise allows: its effect, and the squared error over them; doubts of one."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Histories of a body that yields, for candidates of its parameters, to compare with its recorded motion."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

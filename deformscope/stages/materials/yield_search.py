@@ -1,7 +1,5 @@
 """The first search for the yield strain, with beta and creep."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.ndimage import minimum_filter1d
 

@@ -1,7 +1,5 @@
 """Common parts of lattice and general bodies: particles at rest, parameters of a launch, and rest data."""
 
-from __future__ import annotations
-
 import functools
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
@@ -97,7 +95,7 @@ class Operator(ABC):
 
     beta_stride: int
 
-    def __init__(self, body: Body, layout: Layout, arrays: Any, cluster_stride: int) -> None:
+    def __init__(self, body: "Body", layout: Layout, arrays: Any, cluster_stride: int) -> None:
         self.body: Any = body
         self.layout, self.arrays, self.cluster_stride = layout, arrays, cluster_stride
         self.dim, self.metric = body.dim, arrays.metric

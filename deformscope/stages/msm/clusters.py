@@ -1,7 +1,5 @@
 """Which particles form a cluster (Thesis 4.1.3): lattice windows, nearest neighbours, or lists of indices."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from functools import cached_property
 

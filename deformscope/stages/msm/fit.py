@@ -1,7 +1,5 @@
 """beta of one deformed shape, by derivatives of its error, while the static state is followed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -2,8 +2,6 @@
 
 With a beta along each axis or with S^p they have a material: see `materials`."""
 
-from __future__ import annotations
-
 import functools
 from typing import Any
 
@@ -86,10 +84,10 @@ class GeneralBody(Body):
         stride = groups * group + width
         return Layout(candidates, width, abreast, count, 0, group, stride, place, self.scalar, self.device)
 
-    def operator(self, layout: Layout) -> GeneralOperator:
+    def operator(self, layout: Layout) -> "GeneralOperator":
         return GeneralOperator(self, layout, self.arrays(layout.width))
 
-    def _make_arrays(self, width: int) -> GeneralArrays:
+    def _make_arrays(self, width: int) -> "GeneralArrays":
         return GeneralArrays(self, width)
 
     def weights(self, beta: FloatArray) -> FloatArray:

@@ -2,8 +2,6 @@
 
 Launches are recorded once and replayed: on a CPU too, where a launch from Python costs more than its work."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable

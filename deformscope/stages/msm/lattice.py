@@ -1,7 +1,5 @@
 """Lattice clusters on a device: their rest data, and the launches that make goals of displacements."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Sequence
 from typing import Any
@@ -98,10 +96,10 @@ class LatticeBody(Body):
         stride = -(-stride // 16) * 16
         return Layout(candidates, width, abreast, self.count, front, group, stride, self.cell, self.scalar, self.device)
 
-    def operator(self, layout: Layout) -> LatticeOperator:
+    def operator(self, layout: Layout) -> "LatticeOperator":
         return LatticeOperator(self, layout, self.arrays(layout.width))
 
-    def _make_arrays(self, width: int) -> _LatticeArrays:
+    def _make_arrays(self, width: int) -> "_LatticeArrays":
         return _LatticeArrays(self, width)
 
     def moments(self) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -1,7 +1,5 @@
 """Where the numbers of all candidates lie: fields are structures of arrays, candidates abreast or one after another."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 

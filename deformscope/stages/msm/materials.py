@@ -21,8 +21,6 @@ again (area in the plane; a flat cluster keeps the measure of what it spans), an
 - S^p is brought to the bound along I + s (S^p - I) with its determinant set to 1, so that both conditions hold: the
 paper's scaling alone violates det = 1."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

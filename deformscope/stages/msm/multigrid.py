@@ -12,8 +12,6 @@ restriction are transposed. Neither held particles nor coarse ones next to them 
 state of the fine one. Any positive definite preconditioner gives the same solution: simplifications cost only
 iterations."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass

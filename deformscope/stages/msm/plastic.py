@@ -1,7 +1,5 @@
 """A body that yields: the quasi-static states of a history of loads."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

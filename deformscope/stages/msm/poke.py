@@ -4,8 +4,6 @@ A rigid tip presses the particles under it. They follow it along its direction; 
 flat tip touches its whole footprint, a round one as much as it has sunk in. Force is that of the model's energy:
 stiffness times the reaction at the touched particles."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """warp without its greeting."""
 
-from __future__ import annotations
-
 import os
 import sys
 import tempfile

@@ -22,8 +22,6 @@ them. With theta = 0, e = 0 and R = polar(K): the first step only confirms it.
 Flags are checked: `converged` takes a Newton step below the tolerance, goals that agree with the state by separately
 evaluated equations, and for eq. 3.17, which has no energy, a state that its goals pull back to."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -243,7 +241,7 @@ class OneCluster:
         tolerance: float,
         max_iterations: int,
         volume: Volume,
-    ) -> _Work:
+    ) -> "_Work":
         """The rows of `size` candidates, in scratch that calls of one size share. beta, theta: (B,), or one for all"""
         work = self._work.get((size, volume))
         if work is None:

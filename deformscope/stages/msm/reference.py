@@ -20,8 +20,6 @@ compressed cluster it amplifies every displacement, so that overlapping clusters
   gradient of an energy that no step to them raises, so it cannot diverge; theta weights the pull to the rest volume.
   Choose it for overlapping clusters, and where stability counts more than the thesis's numbers."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

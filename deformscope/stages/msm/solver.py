@@ -1,7 +1,5 @@
 """The MSM engine: rest data on a device, two methods for many candidates at once, and its derivatives."""
 
-from __future__ import annotations
-
 import copy
 import functools
 import time
@@ -192,7 +190,7 @@ class Msm:
         """The body in float64: for eq. 3.17, which has no energy, and whose error float32 cannot judge."""
         return self._body if self._scalar is wp.float64 else self._build(wp.float64)
 
-    def variant(self, *, axes: FloatArray | None = None, plastic: bool = False) -> Msm:
+    def variant(self, *, axes: FloatArray | None = None, plastic: bool = False) -> "Msm":
         """This body with index lists, for `materials`: betas along `axes` (d, d), or clusters that yield."""
         if axes is not None and self._basis != "linear":
             raise ValueError("expected a linear basis with a beta along each axis; got a quadratic one")
@@ -200,13 +198,13 @@ class Msm:
         made._axes, made._plastic = axes, plastic
         return made
 
-    def holding(self, held: IntArray | Sequence[int]) -> Msm:
+    def holding(self, held: IntArray | Sequence[int]) -> "Msm":
         """This body with the positions of other particles (n,) prescribed."""
         made = self._alike()
         made._hold(held)
         return made
 
-    def _alike(self) -> Msm:
+    def _alike(self) -> "Msm":
         made = copy.copy(self)
         for name in ("_body", "_double", "_one"):
             made.__dict__.pop(name, None)
@@ -226,7 +224,7 @@ class Msm:
         place = self.rest / self.scale
         self._particles = BodyRest(place, self.mass, self.free, counts, metric, slipping=slips, held_axis=axis)
 
-    def _along(self, beta: AxisBeta, theta: FloatArray | float) -> Msm:
+    def _along(self, beta: AxisBeta, theta: FloatArray | float) -> "Msm":
         """The variant for betas along these axes, reused by the next call. theta: (B,) or one, all 0"""
         axes = np.asarray(beta.axes)
         if len(axes) != self.dim:
@@ -650,7 +648,7 @@ class Msm:
         return -pull * (self._particles.counts * self._particles.mass)[:, None]
 
     @functools.cached_property
-    def _unheld(self) -> Msm:
+    def _unheld(self) -> "Msm":
         """The same body with nothing held: there the goals of held particles are computed too."""
         return self.holding([]) if len(self.held) else self
 

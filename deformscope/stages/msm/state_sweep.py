@@ -1,7 +1,5 @@
 """Static states of bodies over beta or theta: effect of the two parameters (Thesis figures 3.5, 3.7 and 3.13)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

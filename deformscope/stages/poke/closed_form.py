@@ -3,8 +3,6 @@
 Boussinesq, Hertz, Sneddon: no thickness, no friction, small strain. force identifies E* = E / (1 - nu^2) alone; nu
 enters the sideways motion."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

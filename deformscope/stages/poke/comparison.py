@@ -1,7 +1,5 @@
 """Accuracy of predicted pokes that were not fitted: displacements and force of each, against the measurement."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

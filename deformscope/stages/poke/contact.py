@@ -4,8 +4,6 @@ Pressed by a tip, F = k (z - z0)^p, with p about 1.5 for a sphere and 1 for a fl
 threshold as contact puts z0 too deep and the stiffness 15 to 20 % too high; here z0 is fitted. The arm's deflection
 under the force is subtracted, as calibrated on a rigid block."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache

@@ -19,8 +19,6 @@ force.
 The ball's retract does not follow this law (Ting 1966) and is not fitted; `permanent_share` uses it. The energy loss of
 a cycle is the work of the measured forces on the approach less that on the retract."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, Literal
 

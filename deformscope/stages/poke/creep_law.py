@@ -7,8 +7,6 @@ For every choice of nodes of the log times the most probable parameters are foun
 1944, Marquardt 1963), with their evidence (Laplace). Draws about them are weighted by the posterior, which averages
 over the choices, the numbers of branches and their times."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -57,7 +55,7 @@ class CreepSamples:
     @classmethod
     def of(
         cls, time_s: FloatArray, z_m: FloatArray, force_n: FloatArray, first: int, loading: int, held: int
-    ) -> CreepSamples:
+    ) -> "CreepSamples":
         later = np.geomspace(1.0, max(held - loading, 1), HOLD_SAMPLES).round().astype(int)
         ends = np.unique([*range(1, loading + 1), *(loading + later)])
         starts = np.append(0, ends[:-1])

@@ -4,8 +4,6 @@ A lattice of clusters has systematic errors: with any law, the surface around a 
 too little. It is similar at all pokes of a surface, so that it improves predictions of unseen ones: the model's
 discrepancy, estimated together with its parameters (Kennedy and O'Hagan 2001)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

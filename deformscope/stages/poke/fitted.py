@@ -3,8 +3,6 @@
 Two kinds of body: `layers`, material below a surface, whose lattice is made for each poke; and `particles`, the fitted
 particles themselves."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field

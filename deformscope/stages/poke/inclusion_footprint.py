@@ -12,8 +12,6 @@ its response to a uniform strain. Eshelby (1957) gives the response of a ball wi
 Therefore inclusion, depth and contact determine its width, and only the constant CALIBRATED is fitted.
 Not modelled: the strain is not uniform over the inclusion, and the foam is no half-space."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import cast
 

@@ -3,8 +3,6 @@
 The contact stage (`contact.fit_approach`) fits contact point and dent, by the law of the tip on the sample
 (`tip_law`). What the curve alone does not show enters the interval: each cause with its share."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial

@@ -4,8 +4,6 @@ table = find_table(points_m, size_m=(0.6, 0.4))            # None where the came
 known_layer(heights_m, table, stated_m=None)                  # its thickness is None: it is not known
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

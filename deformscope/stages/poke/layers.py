@@ -3,8 +3,6 @@
 A single layer of particles only bends, so that it hardly determines beta or a force. With the material below it, the
 same surface does. Up is +z."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import dataclass
 

@@ -8,8 +8,6 @@ layer (Dimitriadis et al. 2002); curvature: after Hertz's ball of the relative c
 inclination and edges: fitted to finite elements.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

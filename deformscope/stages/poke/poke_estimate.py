@@ -1,7 +1,5 @@
 """Result of a fit of layers to pokes: beta with its interval and verdict, stiffness, and a model for predictions."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ The static state under each poke is compared with the surface around it, between
 are those of the least squared error (`scipy.optimize.least_squares`); the cluster size is the one with the smallest
 error; its error on pokes left out is reported."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ about STICK times as stiff across as along (Mindlin 1949: 2 (1 - v) / (2 - v) of
 sensor or a normal that is tilted adds a share of F. Once T reaches a limit, mu F, it stays at the limit while the tip
 moves: the tip slides. Both are averaged over k, mu and tilt; the slip is the motion beyond the limit."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ material, several with any borders between pokes that differ, or a gradual chang
 mixture of all of these, each by its probability. Near a border the stiffness may therefore be that of either material.
 The scatter of stiffness from poke to poke is unknown; the pokes determine it too."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial

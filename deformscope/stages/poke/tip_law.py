@@ -6,8 +6,6 @@ see `compliance_left`. Under a round tip this is a Fredholm equation of the seco
 et al. 1972, J. Biomech. 5, 541), which Gauss's quadrature solves to more digits than any table has. Under a rectangle,
 panels of constant pressure (Love 1929) with the layer's part of L on top."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Literal
@@ -53,7 +51,7 @@ class Indenter:
             return float("inf")
         return float(np.sqrt(np.prod(self.size) / np.pi)) if self.kind == "flat" else 0.5 * self.size[0]
 
-    def scaled(self, factor: float) -> Indenter:
+    def scaled(self, factor: float) -> "Indenter":
         """The tip with all its lengths, or the tangent of its half angle, times a factor."""
         if self.kind == "cone":
             return Indenter("cone", (float(np.degrees(np.arctan(factor * np.tan(np.radians(self.size[0]))))),))

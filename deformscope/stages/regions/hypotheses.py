@@ -1,7 +1,5 @@
 """A sample of possible surfaces, and what contacts on them are expected to measure."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -53,7 +51,7 @@ class RelatedTouches:
     prior: RegionPrior
     own_sd: float
 
-    def take(self, index: IntArray) -> RelatedTouches:
+    def take(self, index: IntArray) -> "RelatedTouches":
         """The touches at the places of these indices."""
         return replace(self, at_m=self.at_m[index])
 

@@ -2,8 +2,6 @@
 
 A touch averages the regions under its contact, whose forces add, plus its errors (`touch_error`)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -9,8 +9,6 @@ curve divides any of those before it: quadrants, too.
 Every curve is a family and a vector of standard normal numbers. Therefore a small change that preserves the prior is
 one line of code (preconditioned Crank-Nicolson, Cotter et al. 2013, 4.2), whatever the shape."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import lru_cache
@@ -82,7 +80,7 @@ class Partitions:
     def __len__(self) -> int:
         return len(self.family)
 
-    def take(self, index: IntArray | BoolArray) -> Partitions:
+    def take(self, index: IntArray | BoolArray) -> "Partitions":
         """The maps at these indices (n,), or where a mask (B,) is true."""
         return replace(
             self,
@@ -92,7 +90,7 @@ class Partitions:
             parent=self.parent[index],
         )
 
-    def join(self, other: Partitions) -> Partitions:
+    def join(self, other: "Partitions") -> "Partitions":
         """These maps followed by those."""
         return replace(
             self,
@@ -102,7 +100,7 @@ class Partitions:
             parent=np.concatenate([self.parent, other.parent]),
         )
 
-    def instead(self, changed: BoolArray, by: Partitions) -> Partitions:
+    def instead(self, changed: BoolArray, by: "Partitions") -> "Partitions":
         """Maps of `by` where `changed` (n,), else these."""
         return replace(
             self,

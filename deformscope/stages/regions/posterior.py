@@ -10,8 +10,6 @@ then they count as explaining the touches as well as the largest number that is 
 regions counts by those that a touch lies in: a further one with hardly any effect would cost no evidence. A surface
 whose stiffness changes smoothly is the rival hypothesis (`smooth`); where it wins, the verdict is "gradual"."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, cast
@@ -137,14 +135,14 @@ class RegionPosterior:
         particle_count: int = 2000,
         seed: int = 0,
         most_regions: int = MOST_REGIONS,
-    ) -> RegionPosterior:
+    ) -> "RegionPosterior":
         """The posterior before any touch. particle_count: maps for each number of regions, four times as many first"""
         if particle_count < 50:
             raise InputError("50 particles or more", f"{particle_count}")
         nothing = cls(grid, prior or RegionPrior(), (), (), particle_count, seed, most_regions)
         return replace(nothing, particles=tuple(nothing._followed(k) for k in range(2, FIRST_REGIONS + 1)))
 
-    def with_touch(self, touch: StiffnessSample) -> RegionPosterior:
+    def with_touch(self, touch: StiffnessSample) -> "RegionPosterior":
         """The posterior after one more touch."""
         touches = (*self.touches, touch)
         readings = readings_of(touches, self.prior)

@@ -1,7 +1,5 @@
 """Weighted maps that touches reweight, and that move when few are left (iterated importance sampling, Chopin 2002)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import cast

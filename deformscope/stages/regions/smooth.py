@@ -1,7 +1,5 @@
 """Surfaces whose stiffness changes smoothly: Gaussian processes, the rival hypothesis of maps of regions."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import cast
 

@@ -13,8 +13,6 @@ Not modelled: the stated thickness, which affects the modulus but not apparent s
 2 deg change the force along the normal by 6e-4. A drifting zero of the force is subtracted in each approach; a gain
 that drifts within a session (1 %) is a part of the scatter."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

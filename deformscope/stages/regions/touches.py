@@ -1,7 +1,5 @@
 """A touch as the estimators see it, and the grid of cells that maps are drawn on."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

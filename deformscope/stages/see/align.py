@@ -5,8 +5,6 @@ High above the sample all points belong to the robot. They are registered to the
 the calibration's uncertainty as a prior. The remaining error of the calibration is small, and so little of the surface
 around the robot has to be left out."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -3,8 +3,6 @@
 All points are in the surface frame, in which `T_world_camera` and the robot's links are given. Points are
 (n, 3) [m]. Functions that select points return a mask, which can then select noise or colour too."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -3,8 +3,6 @@
 What moves beyond the background, and deforms, is the body; parts of it that stay are those that look like it (GrabCut,
 Rother 2004). A second thing that moves as a rigid body is the tool. Image axes: x to the right, y down [px]."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -133,7 +131,7 @@ class FoundBody:
         """x, y of each corner of the outline in turn."""
         return None if self.outline is None else tuple(float(one) for one in self.outline.ravel())
 
-    def without_contact(self) -> FoundBody:
+    def without_contact(self) -> "FoundBody":
         """The same body, held at its sides alone, which is not sure."""
         sides = tuple(one for one in self.held if one != "contact")
         return replace(self, held=sides, contact=None, doubts=tuple({*self.doubts, "contact (--contact)"}))

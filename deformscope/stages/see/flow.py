@@ -1,7 +1,5 @@
 """Dense optical flow between two images: where each pixel of the first is found in the second."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -42,7 +40,7 @@ class FlowField:
     origin_px: tuple[int, int] = (0, 0)
     scale: int = 1
 
-    def placed(self, origin_px: tuple[int, int], scale: int) -> FlowField:
+    def placed(self, origin_px: tuple[int, int], scale: int) -> "FlowField":
         """This flow of a reduced part as that of its picture."""
         noise = None if self.noise_px is None else self.noise_px * np.float32(scale)
         return FlowField(self.flow_px * np.float32(scale), noise, self.misfit, origin_px, scale)

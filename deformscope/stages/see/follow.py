@@ -3,8 +3,6 @@
 On a picture of more than `LARGE_PX`, the flow is worked out around the particles alone. It is found where they are
 `COARSE_PX` apart or more, and refined where they are `FINE_PX` apart or more."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,7 +47,7 @@ class View:
     coarse: int
 
     @classmethod
-    def around(cls, at: FloatArray, spacing: float, size: tuple[int, int], margin: float) -> View:
+    def around(cls, at: FloatArray, spacing: float, size: tuple[int, int], margin: float) -> "View":
         """The view of points (K, 2) [px]. spacing: their distance; size: height, width of the picture; margin [px]"""
         fine = max(1, int(spacing / FINE_PX))
         coarse = fine * min(max(1, int(spacing / fine / COARSE_PX)), 3)

@@ -2,8 +2,6 @@
 
 Image axes: x to the right, y down; row 0 of a lattice is the topmost."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, get_args

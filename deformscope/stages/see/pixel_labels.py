@@ -1,7 +1,5 @@
 """Labels of pixels of depth images: whether each was used, or by which rule it was left out."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import IntEnum
 

@@ -3,8 +3,6 @@
 The robot is known from where the arm reports that it is, as capsules and as solids. A camera that triangulates mixes
 depths at the edges of near objects: pixels there may have any depth between both."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial

@@ -1,7 +1,5 @@
 """Place, area and force of contacts on a tactile sensor's pads."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Triangles between particles, to show a value over a body: its area in the plane, its skin in space."""
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np

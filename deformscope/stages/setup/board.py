@@ -1,7 +1,5 @@
 """A ChArUco board: its picture to print, its corners in images, and the lens and the board's pose that they give."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache

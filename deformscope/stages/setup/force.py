@@ -3,8 +3,6 @@
 Axes are those of the tip's frame: z along the stick, outwards. A push is the force of the tip on the world: pressing
 the tip onto a table is a push along +z, pressing it with a finger towards -x a push along +x."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

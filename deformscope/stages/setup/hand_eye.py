@@ -3,8 +3,6 @@
 Each view gives A Y = X B. A, the arm's end in its base frame, and B, the board in the camera's, are known; X, the
 camera in the base frame, and Y, the board on the arm's end, are sought."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

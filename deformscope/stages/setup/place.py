@@ -2,8 +2,6 @@
 
 The frame's origin is the first corner; x runs to the second, y to the third, z up."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

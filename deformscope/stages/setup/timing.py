@@ -4,8 +4,6 @@ y(t) = a x(t - d) + b + noise, with d the offset. Every offset of a fine grid ha
 a, b and noise integrated out; the interval is that of the posterior.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -3,8 +3,6 @@
 The ball at the tip stays in one place (a cone, a ring, a hole's rim) while the arm's end is turned about it. Each pose
 gives R p + t = q with the tip p in the frame of the arm's end and the place q in the base frame: linear in both."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

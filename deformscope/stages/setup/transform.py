@@ -7,8 +7,6 @@ A deviation is six numbers (..., 6): a translation [m], then a small turn [rad],
 leads to: T = moved(T_estimate, deviation).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

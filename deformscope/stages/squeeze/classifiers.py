@@ -7,8 +7,6 @@ with the share of the unit matrix found by cross-validation they are less often 
 wrong answers (`linear`), at 100 times the time (docs/results/containers.md).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial

@@ -3,8 +3,6 @@
 Components are fitted only to the training side of a split, by scikit-learn; the test side is projected. Fitted values
 are arrays, so that a saved classifier needs no training data."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

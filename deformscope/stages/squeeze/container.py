@@ -1,7 +1,5 @@
 """The rigid model of a container, and what a depth camera would see of it (Thesis ch. 2: the synthetic model)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Self
 
@@ -82,7 +80,7 @@ class ModelView:
         """(n, 3) unit normals at some of the pixels, camera frame."""
         return np.asarray(self.outward[pixels] @ self.rotation.T)
 
-    def part(self, pixels: tuple[slice, slice]) -> ModelView:
+    def part(self, pixels: tuple[slice, slice]) -> "ModelView":
         """Some rows and columns of the view."""
         return ModelView(self.depth_m[pixels], self.outward[pixels], self.rotation)
 

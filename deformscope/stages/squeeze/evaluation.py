@@ -3,8 +3,6 @@
 Everything that is learned is learned inside the training side of each split: scaling, components, classifiers,
 calibration and fusion."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field

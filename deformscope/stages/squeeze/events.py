@@ -7,8 +7,6 @@ Both rules process one reading after another, so that they work in a live squeez
 to the whole recording, in order of time.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -8,8 +8,6 @@ Points above the table are split into connected pieces as seen from above. The u
 points of its sides by least squares (soft L1), its height to those of its top.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -3,8 +3,6 @@
 Everything is fitted on the training side alone: the classifier of a modality, its posteriors' calibration, and the
 reliability of each modality for each class. The posteriors that this is learned from are of points left out."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -2,8 +2,6 @@
 
 They describe the table as a whole; no result of a classifier depends on them."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Uncertainty of an evaluation: intervals and comparisons over splits that share their trials."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache

@@ -1,7 +1,5 @@
 """A trained classifier of contents: everything a new squeeze needs, as arrays."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Whether a trained classifier keeps its promise on labelled trials that it has never seen."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -2,8 +2,6 @@
 
 The sign is the thesis's: data minus model. A dent is positive, a wall that bulges towards the camera negative."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache

@@ -2,8 +2,6 @@
 
 These features complement the thesis's raw features, and mean the same on another hand and another container."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal

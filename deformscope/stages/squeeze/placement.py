@@ -1,7 +1,5 @@
 """Record of an arm that places the hand: measurements of the container, and the drawn grasp."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Scores of the answers over all splits: accuracy, confusion and calibration, each with its interval."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal

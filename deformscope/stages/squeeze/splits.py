@@ -1,7 +1,5 @@
 """Splits of trials into training and test sides: at random as in the thesis, stratified, or by whole groups."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

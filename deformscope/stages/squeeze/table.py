@@ -1,7 +1,5 @@
 """Trials with their labels and features: what every classifier is trained on, whoever measured it."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -96,7 +94,7 @@ class LabelledTable:
         """(N,) whether nothing of a modality was measured."""
         return absent(self.modalities[modality])
 
-    def rows(self, chosen: BoolArray | IntArray) -> LabelledTable:
+    def rows(self, chosen: BoolArray | IntArray) -> "LabelledTable":
         """The trials at these indices (n,), or where a mask (trials,) is true."""
         return replace(
             self,
@@ -108,7 +106,7 @@ class LabelledTable:
             series={name: values[chosen] for name, values in self.series.items()},
         )
 
-    def of(self, modalities: Sequence[str]) -> LabelledTable:
+    def of(self, modalities: Sequence[str]) -> "LabelledTable":
         """Some of the modalities, in that order. Raises InputError for one that is not there."""
         if unknown := [name for name in modalities if name not in self.modalities]:
             raise InputError(f"modalities out of {', '.join(self.modalities)}", ", ".join(unknown))
@@ -118,7 +116,7 @@ class LabelledTable:
             series={name: values for name, values in self.series.items() if name in modalities},
         )
 
-    def merged(self, merges: Mapping[str, Sequence[str]]) -> LabelledTable:
+    def merged(self, merges: Mapping[str, Sequence[str]]) -> "LabelledTable":
         """The same trials in fewer classes: new label -> labels that become it, as in `liquid: water, yogurt`."""
         label = self.label.astype(object)
         for name, members in merges.items():

@@ -12,8 +12,6 @@ reported. Objects before the container, and dents, have little or no weight (Tuk
 together with the pose (`bulge`), so that a full container does not appear nearer.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -100,7 +98,7 @@ class _Window:
     view: ModelView
     bulge: FloatArray
 
-    def part(self, of: tuple[slice, slice]) -> _Window:
+    def part(self, of: tuple[slice, slice]) -> "_Window":
         """Some rows and columns of it."""
         return _Window(self.pixels[of], self.ray[of], self.view.part(of), self.bulge[of])
 

@@ -1,8 +1,6 @@
 """Content of a squeeze's recording: its phases, the fingertips' pressures, the tracked container, its features, and the
 classification of its content."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

@@ -1,8 +1,6 @@
 """Evaluates one split: every classifier of every modality, and early and late fusion, trained on one side and tested on
 the other."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

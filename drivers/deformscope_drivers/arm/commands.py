@@ -1,7 +1,5 @@
 """The possible velocities of an arm, checked before anything is sent."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -59,7 +57,7 @@ class CartesianVelocity:
     @classmethod
     def in_base(
         cls, linear_m_s: npt.ArrayLike, angular_rad_s: npt.ArrayLike, T_base_end_effector: npt.ArrayLike
-    ) -> CartesianVelocity:
+    ) -> "CartesianVelocity":
         """The same for a velocity (3,) and an angular velocity (3,) that are both in the base frame.
         T_base_end_effector: (4, 4) present pose of the end effector: convert again when it turns"""
         rotation = np.asarray(T_base_end_effector, dtype=float)[:3, :3]

@@ -3,8 +3,6 @@
 A velocity holds only as long as its sender renews it. Each driver brings its arm to rest then, which the contract tests
 check (`tests/drivers/arm`)."""
 
-from __future__ import annotations
-
 import atexit
 import threading
 from abc import abstractmethod

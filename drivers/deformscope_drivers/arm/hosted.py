@@ -5,8 +5,6 @@ this process is suspended, no velocity is renewed and it expires. When this proc
 closes, and the other process halts the arm, releases it and ends too. A long call runs in a thread there, so that a
 halt and the end of the program come first."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import threading

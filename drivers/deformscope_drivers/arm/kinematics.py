@@ -3,8 +3,6 @@
 Joints are in degrees, as vendors' interfaces give and take them; lengths are in metres, rotations in radians. Every
 joint turns about the z axis of its own frame, so a child's pose in its parent is `origin @ rotation_z(angle)`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

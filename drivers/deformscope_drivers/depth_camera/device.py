@@ -1,7 +1,5 @@
 """A depth camera through OpenNI2: an Xtion, a PrimeSense Carmine or a first Kinect; a recording of one; or a dummy."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import re

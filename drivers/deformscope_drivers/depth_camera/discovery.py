@@ -1,7 +1,5 @@
 """Depth cameras that are plugged in, as the kernel lists them, without opening any; and the names of their ports."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A depth camera that a vendor's library reads in a separate process: a hang or crash there is a lost link here."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Callable, Hashable, Iterable
 from pathlib import Path

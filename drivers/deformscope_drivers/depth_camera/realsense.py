@@ -1,7 +1,5 @@
 """An Intel RealSense depth camera of the D400s (D405, D415, D435, D455...) through librealsense's Python module."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from dataclasses import dataclass

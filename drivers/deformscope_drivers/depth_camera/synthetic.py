@@ -1,7 +1,5 @@
 """A depth camera on a program's scene: what the laboratory, and tests, have in a real one's place."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """How a tactile controller is reached and set; checked when it is made, before anything is sent."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import TypeVar
 

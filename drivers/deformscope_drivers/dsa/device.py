@@ -5,8 +5,6 @@ with Dsa(DsaConfig(port="/dev/ttyUSB0")) as dsa:
         print(dsa.contacts(reading))
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Hashable, Iterable
 from typing import Any, Self, TypeVar

@@ -4,8 +4,6 @@ Its behaviour is that of the protocol reference (protocols.md 1a). Assumed, wher
 for commands that cannot be carried out, that sensitivity is a gain on the counts (0.5 = 1), that texels below the
 threshold are sent as 0, and the factory values."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -2,8 +2,6 @@
 
 Both the device and the replay of a recording's bytes use it: it has neither port nor thread."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum

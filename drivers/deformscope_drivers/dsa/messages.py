@@ -3,8 +3,6 @@
 Source: Schunk's libraries as protocols.md 1a cites them (SDHLibrary-CPP, sdh/dsa.h). Little-endian throughout. Only
 messages whose payload is public are here: ids 00, 01, 02, 03, 0B, 0F, 12, 13 and 14."""
 
-from __future__ import annotations
-
 import struct
 from dataclasses import astuple, dataclass
 from enum import IntEnum, IntFlag

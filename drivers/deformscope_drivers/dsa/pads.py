@@ -1,8 +1,6 @@
 """The SDH's tactile pads: their names, pressures, contact areas, forces and centres of pressure from counts, and the
 feature of the thesis."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
@@ -37,7 +35,7 @@ class Pad:
     part: Part
 
     @classmethod
-    def of_matrix(cls, matrix: int) -> Pad:
+    def of_matrix(cls, matrix: int) -> "Pad":
         """The pad that a matrix of the controller is on."""
         finger, part = divmod(matrix, len(Part))
         return cls(finger, Part(part))

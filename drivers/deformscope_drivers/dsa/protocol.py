@@ -9,8 +9,6 @@ misses some pairs of flipped bits (counted in `tests/drivers/dsa/flips.py`). The
 id, the length of that id, and texels of 12 bits, one for each cell of the sensor.
 Source: SDHLibrary-CPP, sdh/dsa.h and dsa.cpp (protocols.md 1a)."""
 
-from __future__ import annotations
-
 import struct
 from abc import abstractmethod
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Contacts of a simulated tactile hand: pressures on its pads as a function of time."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 

@@ -2,8 +2,6 @@
 
 Origins, limits and masses are facts of Kinova's published robot description (kinova_description, BSD-3)."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

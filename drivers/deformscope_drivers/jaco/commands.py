@@ -1,7 +1,5 @@
 """Commands of an arm, checked before anything is sent, and their trajectory points."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

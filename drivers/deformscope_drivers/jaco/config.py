@@ -1,7 +1,5 @@
 """How a Jaco is connected, and its limits."""
 
-from __future__ import annotations
-
 import ipaddress
 import math
 from dataclasses import dataclass, field

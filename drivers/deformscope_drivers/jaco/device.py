@@ -12,8 +12,6 @@ and never in advance. A velocity lasts only as long as its sender renews it:
 A process that is killed outright (SIGKILL) can erase nothing. The arm then carries out the waiting points: one or two
 velocity points, that is 20 ms of motion. A `move_to` in progress is one point, and continues to its target."""
 
-from __future__ import annotations
-
 import contextlib
 import time
 from collections.abc import Callable, Iterable, Sequence

@@ -2,8 +2,6 @@
 
 The double has no thread: time passes on the given clock, and each call first simulates the cycles since the last."""
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import threading

@@ -7,8 +7,6 @@ VendorError                 any of them, with `code`, `symbol`, `meaning`, `reme
  +- UnknownCode             a code that no header names
  +- one class for each code; some are also a NotConnected, LinkLost, NoReply or LibraryMissing of the common tree"""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 from deformscope_drivers.errors import (

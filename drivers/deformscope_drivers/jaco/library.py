@@ -4,8 +4,6 @@ There are two libraries: USBCommandLayerUbuntu.so, and EthCommandLayerUbuntu.so 
 `Ethernet_`. Neither exports all that the headers declare, so each function is looked up when it is first called.
 Parameters that the headers write as `T &` are pointers; points, devices and pairs of infos go by value."""
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Callable
 from ctypes import POINTER, c_float, c_int

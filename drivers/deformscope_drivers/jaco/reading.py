@@ -4,8 +4,6 @@ Over USB the vendor's library opens, claims, transfers and closes for each packe
 (kinova-ros issues 281, 372), a slot has 10. Therefore a state needs one call, for the joint angles, from which the pose
 follows. Other readings take turns in the remaining time, or replace the angles after too long without any."""
 
-from __future__ import annotations
-
 import ctypes
 from collections import deque
 from dataclasses import dataclass

@@ -8,8 +8,6 @@ ignored without a report after motion by joints, and all Cartesian motion until 
 admittance. If the real arm's behaviour is not published, the simplest one is modelled and marked. Joints follow at once
 unless they have greatest accelerations: there is no inertia but that of the admittance."""
 
-from __future__ import annotations
-
 from collections import deque
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Bringing an arm up, in the order that the vendor's own driver keeps, and letting it go again."""
 
-from __future__ import annotations
-
 import contextlib
 import socket
 import struct

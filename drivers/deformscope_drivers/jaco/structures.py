@@ -4,8 +4,6 @@ Layouts are facts of the published headers (KinovaTypes.h, BSD-3), naturally ali
 library 5.2.0. Positions are metres and radians (ThetaX, ThetaY, ThetaZ turn about x, the new y, the new z), joints
 degrees, fingers 0 (open) to 6800 (closed)."""
 
-from __future__ import annotations
-
 import ctypes
 from ctypes import c_char, c_double, c_float, c_int, c_short, c_ubyte, c_uint, c_ulong, c_ushort
 from enum import IntEnum

@@ -4,8 +4,6 @@ Zones are stored in the arm, and apply to any program or joystick that moves it 
 prism on a base with four corners, and one whose speed is 0 is not entered. Cartesian motions respect them, motions by
 joints as this driver sends them do not (kinova-ros issue 386). This was not tested on a real arm."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 from deformscope_drivers.errors import SettingsRefused

@@ -3,8 +3,6 @@
 Lengths, ranges and speeds are facts of the published description (ros-industrial kuka_experimental, kuka_kr6_support,
 BSD-3). Angles are those of the controller: at (0, -90, 90, 0, 90, 0) upper arm upright, forearm level, flange down."""
 
-from __future__ import annotations
-
 import ipaddress
 import math
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ missing answer leaves the arm at rest only if the controller is configured so (H
 correction of PROBE_DEG after which answers are left out, and refuses any other controller. After a link that was lost,
 when the tip may press something, the test waits for `acknowledge_stop`."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Iterable
 from pathlib import Path

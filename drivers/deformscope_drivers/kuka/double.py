@@ -6,8 +6,6 @@ answer is a correction of zero, or the last one again (HOLDON). Relative correct
 where RSI began. The behaviour of HOLDON and of both modes is from kuka_experimental (ros_rsi_ethernet.xml, pull request
 119), not from a real controller. It has neither port nor thread (`deformscope_drivers.doubles.Double`)."""
 
-from __future__ import annotations
-
 import math
 import threading
 from collections import deque

@@ -5,8 +5,6 @@ cycle [ms]; the answer `<Sen>` repeats IPOC and has the corrections of the axes.
 lets the controller send are ignored. Formats: ros-industrial kuka_experimental (kuka_rsi_hw_interface,
 kuka_rsi_simulator; BSD-3), whose answers these are to the last byte."""
 
-from __future__ import annotations
-
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence

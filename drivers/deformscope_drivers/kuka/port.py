@@ -1,7 +1,5 @@
 """Datagrams to and from a controller, one at a time."""
 
-from __future__ import annotations
-
 import select
 import socket
 

@@ -2,8 +2,6 @@
 
 Nothing is measured here: `place` takes the values that a person reads from a scale. No command moves the arm."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass

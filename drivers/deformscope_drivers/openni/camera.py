@@ -3,8 +3,6 @@
 `DepthCamera` runs `serve` in a process of its own (`deformscope_drivers.hosted`): a hang or a crash of the library ends
 neither program nor recording."""
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from dataclasses import dataclass

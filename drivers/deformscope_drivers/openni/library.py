@@ -5,8 +5,6 @@ interpreter ends, which crashes (measured with Debian's 2.2.0.33), and need a fi
 Nothing here is called in the process that records.
 Sources: OpenNI2's public headers OniCAPI.h, OniCTypes.h, OniCEnums.h, OniCProperties.h (Apache-2.0)."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 from ctypes import POINTER, Structure, byref, c_char, c_char_p, c_float, c_int, c_uint16, c_uint64, c_void_p, sizeof
@@ -158,7 +156,7 @@ class Openni:
         self.lib.oniReleaseDeviceList(first)
         return found
 
-    def open(self, uri: str) -> OpenniDevice:
+    def open(self, uri: str) -> "OpenniDevice":
         """Open a camera, or a recording by its path; an empty uri is the first camera."""
         handle = c_void_p()
         status = self.lib.oniDeviceOpen(uri.encode() if uri else None, byref(handle))
@@ -170,7 +168,7 @@ class Openni:
         events, self._events = self._events, []
         return events
 
-    def wait(self, streams: list[OpenniStream], timeout_s: float) -> OpenniStream | None:
+    def wait(self, streams: "list[OpenniStream]", timeout_s: float) -> "OpenniStream | None":
         """The stream that has a frame; None when none came in time."""
         handles = (c_void_p * len(streams))(*[stream.handle for stream in streams])
         index = c_int(-1)
@@ -228,7 +226,7 @@ class OpenniDevice:
             )
         self._lib.oniDeviceEnableDepthColorSync(self.handle)
 
-    def stream(self, sensor: Sensor) -> OpenniStream:
+    def stream(self, sensor: Sensor) -> "OpenniStream":
         handle = c_void_p()
         status = self._lib.oniDeviceCreateStream(self.handle, sensor, byref(handle))
         self._openni.check(status, f"a camera with a {sensor.name.lower()} stream", self._uri, SettingsRefused)

@@ -1,7 +1,5 @@
 """Connection of a DAQ, its rate, and the forces of its sensors' counts."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -2,8 +2,6 @@
 
 The counter may count readings, or the DAQ's samples at 1 kHz, so that its usual step is learned from the stream."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass
 from enum import Enum
@@ -167,7 +165,7 @@ class CounterTrack:
         self.late += times * (gap.verdict is CounterStep.LATE)
         self.repeated += times * (gap.verdict is CounterStep.REPEATED)
 
-    def _correct(self, doubted: _Doubted, since: int, usual: int) -> Gap:
+    def _correct(self, doubted: "_Doubted", since: int, usual: int) -> Gap:
         """The counter of the reading before was damaged, and its interpretation wrong."""
         self._count(Gap(doubted.verdict, doubted.lost), times=-1)
         if doubted.verdict is CounterStep.LOST:

@@ -1,7 +1,5 @@
 """OptoForce's DAQ as a device: settings stored in a shadow copy, checked zeroing, losses found by its counter."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Hashable, Iterable
 from dataclasses import dataclass, replace

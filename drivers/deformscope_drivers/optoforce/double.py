@@ -1,7 +1,5 @@
 """A byte-exact simulated DAQ with its sensors: a state machine that is fed bytes and time."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

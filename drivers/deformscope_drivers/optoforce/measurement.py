@@ -2,8 +2,6 @@
 
 Both the device and the replay of a recording's bytes use this module, which has neither port nor thread."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -15,8 +15,6 @@ jhu-saw/sawOptoforceSensor); the vendor's own manual was not to be had.
 | `SerialRequest`   | AB 00 12 08 | 6     |                                               |
 | `SerialReply`     | AA 00 12 08 | 14    | 8 characters, ASCII                           |"""
 
-from __future__ import annotations
-
 import re
 import struct
 from collections.abc import Callable
@@ -156,7 +154,7 @@ class Status(int):
         overload: tuple[str, ...] = (),
         several_sensors: bool = False,
         sensor_number: int = 0,
-    ) -> Status:
+    ) -> "Status":
         """The status word with these fields."""
         bits = sum(0x200 >> AXES.index(name) for name in overload)
         return cls(daq << 13 | sensor << 10 | bits | several_sensors << 3 | sensor_number)

@@ -5,8 +5,6 @@ to 15 s, and restarts it without the settings (librealsense, src/pipeline/pipeli
 or its replacement. `Realsense` runs `serve` in a process of its own (`deformscope_drivers.hosted`): a hang or a crash
 of the library ends neither program nor recording."""
 
-from __future__ import annotations
-
 import importlib
 import threading
 import time

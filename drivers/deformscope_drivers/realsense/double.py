@@ -7,8 +7,6 @@ It behaves as librealsense 2.59 does with a software camera, and as its source a
 - starting a camera that another process reads, or in an unsupported mode, raises RuntimeError with the library's words
 The file that the environment names (CAMERAS_FILE) is read again whenever it changes; without it one camera is there."""
 
-from __future__ import annotations
-
 import dataclasses
 import fcntl
 import json
@@ -315,7 +313,7 @@ class pipeline:
     def __init__(self, of: context) -> None:
         self._context = of
 
-    def start(self, asked: config, queue: frame_queue) -> Any:
+    def start(self, asked: config, queue: "frame_queue") -> Any:
         camera = _world.camera(asked.serial)
         if camera is None:
             raise RuntimeError("No device connected")

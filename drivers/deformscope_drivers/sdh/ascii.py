@@ -12,8 +12,6 @@ The host ends a command by \r\n; the hand ends a line by \n, with \r at either e
 Source: ipab-slmc/SDHLibrary-CPP, sdh/sdhserial.cpp.
 """
 
-from __future__ import annotations
-
 import math
 import re
 

@@ -7,8 +7,6 @@ Little-endian. `length` counts all following bytes, including the checksum, so t
 Messages on RS-232 have a checksum over all bytes before it, those on CAN and TCP have none. Source:
 ipab-slmc/SDHLibrary-CPP, sdh/sdhserial.cpp."""
 
-from __future__ import annotations
-
 import math
 import struct
 

@@ -2,8 +2,6 @@
 
 Source: ipab-slmc/SDHLibrary-CPP (Schunk's library), sdh_codes.h, sdhbase.cpp, sdh.cpp, sdhserial.cpp; facts only."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final

@@ -1,7 +1,5 @@
 """How the hand is connected and polled, and the limits of its commands, checked before anything is sent."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

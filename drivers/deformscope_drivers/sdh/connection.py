@@ -1,7 +1,5 @@
 """The link to the hand: opening, requests and answers, and repeated readings."""
 
-from __future__ import annotations
-
 from collections.abc import Hashable, Iterable
 from typing import TypeVar
 

@@ -3,8 +3,6 @@
 Nothing moves without a call of a method here. The hand has no watchdog: after the loss of the host a motion continues.
 A move goes to its targets, a velocity to the ends of the axes."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 `firmware` carries out commands, `motion` moves the axes; here are its line and its bytes. Assumed: an empty line has no
 answer, and numbers have two decimals."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Sequence

@@ -3,8 +3,6 @@
 Undocumented behaviour is the simplest one, marked "assumed": the answer to `stop`, that `selgrip` turns only the base
 axis, and the commands that are refused during a grip."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Sequence
 

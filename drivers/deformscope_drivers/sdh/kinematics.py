@@ -5,8 +5,6 @@ thumb) to the middle between the two others. The proximal joints are on an equil
 above the origin. Numbers and signs are those of Schunk's library (ipab-slmc/SDHLibrary-CPP, sdh.cpp); the assignment of
 the tactile controller's pads to links is an assumption there, see package `dsa`."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Final

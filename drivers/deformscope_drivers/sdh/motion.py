@@ -6,8 +6,6 @@ points: the hand's cycle is 10 ms). Assumed: the ramp profile is a trapezoid; `s
 "CW" is the direction of growing angles; the temperatures' time and size. Also assumed: an axis in soft contact
 continues at its set speed within its current limit, and reports `blocked` while it hardly moves; gears hold."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field

@@ -8,8 +8,6 @@ starts with a byte of 128 or more; a line of text holds none. Therefore one deco
         ...                                           # Reading(quantity="pos", values=(0.0, -10.0, ...))
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from typing import Final

@@ -1,7 +1,5 @@
 """Return values of the hand's driver."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import StrEnum
 

@@ -1,7 +1,5 @@
 """A webcam: opened by its stable name, set as configured, every setting read back and a mismatch refused."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Hashable, Iterable
 from dataclasses import dataclass

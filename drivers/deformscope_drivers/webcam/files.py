@@ -1,7 +1,5 @@
 """A video file, or a folder of images, in a camera's place."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import re
@@ -188,7 +186,7 @@ class ImageFolder(Playback):
 class _VideoPictures:
     """The pictures of an opened `cv2.VideoCapture`; not a generator, which is closed only once it was started."""
 
-    def __init__(self, capture: cv2.VideoCapture) -> None:
+    def __init__(self, capture: "cv2.VideoCapture") -> None:
         self._capture = capture
         self._unreadable = 0
 

@@ -1,7 +1,5 @@
 """A colour camera on a program's scene: what the laboratory, and tests, have in a webcam's place."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 

@@ -1,6 +1,6 @@
 """Volume conserved by projection: the nearest matrix of measure 1, the energy behind it, and warp's answers.
 
-Annotations here are read by warp while the kernel is made, so they are not postponed (no `__future__` import)."""
+Annotations here are read by warp while the kernel is made, so they are not quoted."""
 
 import functools
 import itertools
