@@ -1,11 +1,14 @@
 """Every interval that a result declares has a count behind it, or is called an estimate where it is shown."""
 
+import ast
 import contextlib
 import dataclasses
 import importlib
+import inspect
 import pkgutil
 import re
 import sys
+import textwrap
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +23,17 @@ DOC = Path(__file__).parents[1] / "docs" / "results" / "coverage.md"
 HEADING = "## Which study counts each interval"
 
 
+def written_hints(kind: type) -> dict[str, str]:
+    """Types of a class's fields and properties as they are written: an evaluated alias has lost its name."""
+    hints = {}
+    for node in ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0].body:  # type: ignore[attr-defined]
+        if isinstance(node, ast.AnnAssign):
+            hints[ast.unparse(node.target)] = ast.unparse(node.annotation)
+        elif isinstance(node, ast.FunctionDef) and isinstance(vars(kind).get(node.name), property) and node.returns:
+            hints[node.name] = ast.unparse(node.returns)
+    return hints
+
+
 def with_ends() -> set[str]:
     """`Class.name` of all that has two ends: fields and properties of results that are called intervals, or that hold a
     value with one. The laboratory's own and what only carries a result on are left out."""
@@ -32,10 +46,7 @@ def with_ends() -> set[str]:
     for kind in {kind for module in modules for kind in vars(module).values() if dataclasses.is_dataclass(kind)}:
         if not isinstance(kind, type) or not kind.__module__.startswith(("deformscope.stages", "deformscope.runs")):
             continue
-        hints = {name: str(hint) for name, hint in kind.__annotations__.items()}
-        for name, member in vars(kind).items():
-            if isinstance(member, property):
-                hints[name] = str(member.fget.__annotations__.get("return", ""))
+        hints = written_hints(kind)
         declared = {one.name: one for one in quantities(kind)}
         for name, hint in hints.items():
             one = declared.get(name)

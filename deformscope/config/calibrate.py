@@ -222,8 +222,8 @@ class BetaConfig(CalibrateOptions):
 
     @property
     def has_layers(self) -> bool:
-        """Whether the material below a surface is fitted: pokes in pair files, with its thickness."""
-        return self.push.thickness_m is not None and ending_of(self.sources[0]) == ".npz"
+        """Whether the material below a surface is fitted: pokes in pairs, with its thickness; images have a --force."""
+        return self.push.thickness_m is not None and self.push.force is None
 
     @property
     def fitted_cluster_size(self) -> int:

@@ -286,9 +286,9 @@ class SqueezeDataset:
 
 
 def _index_schema() -> pa.Schema:
-    kinds = {"str": pa.string(), "float": pa.float64(), "int": pa.int64(), "str | None": pa.string()}
+    kinds: dict[object, pa.DataType] = {str: pa.string(), float: pa.float64(), int: pa.int64(), str | None: pa.string()}
     return pa.schema(
-        [pa.field(one.name, kinds.get(str(one.type), pa.list_(pa.float64()))) for one in dataclasses.fields(TrialEntry)]
+        [pa.field(one.name, kinds.get(one.type, pa.list_(pa.float64()))) for one in dataclasses.fields(TrialEntry)]
     )
 
 

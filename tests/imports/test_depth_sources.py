@@ -254,7 +254,9 @@ def test_real_numbers_that_are_no_metres_are_asked_for(
     image[0, 0], image[0, 1] = np.nan, np.inf
     source = raw("32FC1", image).write(tmp_path / "bag")
     error = refused(source, depth_map(), tmp_path / "r.rrd", capfd)
-    assert "expected units.data of cam in the map: one of m, cm, mm, um; got 'none, and most of its distances" in error
+    assert (
+        "expected units.data of cam in the map: one of m, cm, mm, um, nm; got 'none, and most of its distances" in error
+    )
     found = first(imported(source, depth_map(units={"data": unit}), tmp_path / "s.rrd"))
     assert not found[0, :2].any()
     np.testing.assert_allclose(found[1:], TRUE_M[1:], atol=5.1e-5)
@@ -270,7 +272,7 @@ def test_a_unit_of_counts_is_their_step(
         found = first(imported(source, depth_map(units={"data": unit}), tmp_path / f"{encoding}.rrd"))
         np.testing.assert_allclose(found, TRUE_M, atol=unit_m)
     error = refused(source, depth_map(units={"data": "N"}), tmp_path / "r.rrd", capfd)
-    assert "units.data of cam in the map: one of m, cm, mm, um; got 'N' | try: units" in error
+    assert "units.data of cam in the map: one of m, cm, mm, um, nm; got 'N' | try: units" in error
 
 
 def test_counts_that_would_be_far_away_are_asked_for(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -11,10 +11,11 @@ import deformscope as ds
 from deformscope.arrays import ImageArray
 from deformscope.cli import common, main
 from deformscope.config import BetaConfig, SearchOptions
-from deformscope.config.calibrate import LayersFlags
+from deformscope.config.calibrate import PushFlags
+from deformscope.experiments.fit import calibration_inputs
 from deformscope.files.pairs import parse_pair
 from deformscope.files.sources import open_source
-from deformscope.runs import calibration, image_calibration
+from deformscope.runs import calibration
 from deformscope.stages.poke.layers import MeasuredSurface
 from deformscope.stages.poke.poke_fit import seen_poke, spacing_for
 from tests.cases import Capture, Patch
@@ -41,7 +42,7 @@ def images() -> list[ImageArray]:
 @pytest.fixture
 def slow(monkeypatch: Patch) -> None:
     """A machine on which nothing is quick: the fewest frames, and the coarsest lattice."""
-    monkeypatch.setattr(image_calibration, "FLOW_S_PER_PX", 1e-2)
+    monkeypatch.setattr(calibration_inputs, "FLOW_S_PER_PX", 1e-2)
     monkeypatch.setattr(calibration, "MOST_PARTICLES", 1)
 
 
@@ -99,7 +100,7 @@ def test_a_short_sequence_or_a_stride_of_ones_own_stays_whole(
     caplog.set_level(logging.INFO)
     assert ds.calibrate_beta(images[:KEPT], grid=(8, 6), candidates=12).estimate.settings["frames"] == KEPT
     assert "frames are tracked" not in caplog.text
-    monkeypatch.setattr(image_calibration, "FLOW_S_PER_PX", 1e-2)
+    monkeypatch.setattr(calibration_inputs, "FLOW_S_PER_PX", 1e-2)
     own = ds.calibrate_beta(images, grid=(8, 6), candidates=12, stride=2)
     assert own.estimate.settings["frames"] == (COUNT + 1) // 2
     assert f"{(COUNT + 1) // 2} frames are tracked" in caplog.text
@@ -158,9 +159,9 @@ def test_a_coarser_lattice_says_so_counts_its_steps_to_one_end_and_replays(
 
 
 def test_the_finest_lattice_is_taken_where_it_is_asked_for() -> None:
-    layers = LayersFlags(thickness_m=0.05)
+    push = PushFlags(thickness_m=0.05)
     for fine, most in ((False, calibration.MOST_PARTICLES), (True, None)):
-        options = calibration._layers(BetaConfig(("p.npz",), layers=layers, search=SearchOptions(fine=fine)))
+        options = calibration._layers(BetaConfig(("p.npz",), push=push, search=SearchOptions(fine=fine)))
         assert options.most_particles == most
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import numpy as np
+import pyarrow as pa
 import pytest
 import rerun as rr
 from rerun.chunk import RrdReader
@@ -139,13 +140,24 @@ def test_the_views_are_in_the_file(tmp_path: Path) -> None:
     assert len(RrdReader(tmp_path / "run.rrd").blueprints()) == 1
 
 
+def contents(path: Path) -> list[tuple[str, bytes]]:
+    """Every chunk, without its row numbers. `rerun rrd compare` finds a NaN different from itself."""
+    found = []
+    for chunk in RrdReader(path).stream():
+        batch = chunk.to_record_batch()
+        names = [name for name in batch.schema.names if "rowid" not in name.lower().replace("_", "")]
+        columns = pa.RecordBatch.from_arrays([batch.column(name) for name in names], names=names)
+        found.append((str(chunk.entity_path), columns.serialize().to_pybytes()))
+    return sorted(found)
+
+
 def test_two_deterministic_runs_compare_equal(tmp_path: Path) -> None:
     for name in ("a", "b"):
         record(tmp_path / f"{name}.rrd", 8, deterministic=True)
-    assert rrd("compare", "--unordered", tmp_path / "a.rrd", tmp_path / "b.rrd").returncode == 0
+    assert contents(tmp_path / "a.rrd") == contents(tmp_path / "b.rrd")
     with Recorder(tmp_path / "c.rrd", "none", {"seed": 3, "roi": ROI, "spacing_px": None}, deterministic=True) as made:
         run(synthetic.frames(8, seed=1), synthetic.calibration(ROI, SHAPE), made)
-    assert rrd("compare", "--unordered", tmp_path / "a.rrd", tmp_path / "c.rrd").returncode != 0
+    assert contents(tmp_path / "a.rrd") != contents(tmp_path / "c.rrd")
 
 
 def test_a_step_about_an_unknown_frame_is_a_mistake(tmp_path: Path) -> None:
@@ -481,7 +493,7 @@ def test_two_deterministic_runs_of_devices_compare_equal(tmp_path: Path) -> None
             made.start(RigLayout(rig.STREAMS), rig.START_NS)
             for batch in rig.batches(numbers):
                 made.write(batch)
-    assert rrd("compare", "--unordered", tmp_path / "a.rrd", tmp_path / "b.rrd").returncode == 0
+    assert contents(tmp_path / "a.rrd") == contents(tmp_path / "b.rrd")
 
 
 def failing(*, timeout_sec: float) -> None:
