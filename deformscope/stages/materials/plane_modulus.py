@@ -29,6 +29,8 @@ from deformscope.stages.fit.model import Observation
 RATIOS = np.array([0.0, 0.08, 0.16, 0.24, 0.32, 0.4, 0.45, 0.49])
 """Poisson's ratios that are simulated; quantities between them are interpolated."""
 DRAWS = 4000
+FEWEST = 4.0
+"""Independent errors that even a smooth field of them has, in particles."""
 BESIDE = 2
 """Particles on each side of the contact whose measured positions are prescribed too: part of the force is theirs."""
 ROUNDS, LEFT = 40, 1e-9
@@ -144,7 +146,8 @@ def _independent(at: FloatArray, errors: FloatArray, step: FloatArray) -> float:
     if not len(first) or power <= 0.0:
         return 1.0
     alike = float(np.mean(np.sum(errors[first] * errors[second], axis=1))) / power
-    return float(min(np.log(1.0 / np.clip(alike, 1e-6, 0.999)) ** 2 / (2.0 * np.pi), 1.0))
+    share = float(np.log(1.0 / np.clip(alike, 1e-6, 0.999))) ** 2 / (2.0 * np.pi)
+    return min(max(share, FEWEST / len(at)), 1.0)
 
 
 class _Body:
