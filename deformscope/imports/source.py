@@ -66,6 +66,11 @@ class ImportSource(ItemSource):
             came = f"{self.start_ns}, of which the first stamp is {(host_ns(self._next) - self.start_ns) / 1e9:.4g} s"
             raise InputError("start_ns within a day of the first stamp", came, "the map without it")
 
+    def drain(self) -> Iterator[Item]:
+        """All frames that are left. Raises InputError as `take` does."""
+        while not self.ended:
+            yield from self.take(0.0)
+
     def take(self, wait_s: float) -> list[Item]:
         """The next frames. Raises InputError at the end if the streams' clocks differ."""
         was_over, found = self.ended, super().take(wait_s)

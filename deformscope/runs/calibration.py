@@ -64,9 +64,8 @@ def calibrate(
         return calibrate_pair_bytes(
             raws, fit, output, noise_m=search.noise_m, joint=search.joint, layers=layers, note=note, progress=progress
         )
-    for flag, used in (("--joint", search.joint),):
-        if used:
-            raise InputError(f"pair files with {flag}", "images", f"leave out {flag}")
+    if search.joint:
+        raise InputError("pair files with --joint", "images", "leave out --joint")
     if config.push.thickness_m is not None and config.push.force is None:
         raise InputError("--force with the --thickness-m of images", "no --force", "--force 3N")
     if search.noise_m is not None:

@@ -2,7 +2,7 @@
 
 import io
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,7 @@ from deformscope.config.calibrate import PushFlags
 from deformscope.config.flags import FORCE_UNITS
 from deformscope.errors import InputError
 from deformscope.file_io import resolve
-from deformscope.frames import InputFile, Item, WrenchFrame
+from deformscope.frames import InputFile, WrenchFrame
 from deformscope.imports.frame_builder import SI, TIME_NS
 from deformscope.imports.import_map import ImportMap
 from deformscope.imports.inspect import TIMES, inspect, propose
@@ -49,13 +49,8 @@ def read_force(push: PushFlags) -> PressForce:
             hint = f"--force-sensor {names[0]}" if names else ""
             raise InputError("a log with one force sensor", ", ".join(names) or "none", hint, path)
         with ImportSource(reader, ImportMap((chosen[0],))) as source:
-            frames = [one for one in _items(source) if isinstance(one, WrenchFrame)]
+            frames = [one for one in source.drain() if isinstance(one, WrenchFrame)]
     return _of_frames(frames, 0, path)
-
-
-def _items(source: ImportSource) -> Iterator[Item]:
-    while not source.ended:
-        yield from source.take(0.0)
 
 
 def _of_table(reader: Reader, topic: str, push: PushFlags, path: Path) -> PressForce:

@@ -91,13 +91,14 @@ def _push_of(flags: PushFlags) -> tuple[PushOptions | None, PressForce | None]:
 
 def _drawn_to(path: Path | None) -> Draw | None:
     """Draws what is fitted of the images to a file, if there is one."""
+    if path is None:
+        return None
 
     def draw(image: ImageArray, body: FoundBody, text: str) -> None:
-        if path is not None:
-            with replacing(path) as file:
-                file.write(found_png(image, body, text))
+        with replacing(path) as file:
+            file.write(found_png(image, body, text))
 
-    return None if path is None else draw
+    return draw
 
 
 def _given_images(given: Sequence[ImageArray], images: ImageOptions) -> Source:

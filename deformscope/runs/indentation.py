@@ -152,10 +152,7 @@ def curves_of(path: Path, config: IndentConfig) -> list[IndentCurve]:
             open_reader(path, asked.skip_rows, [one.time for one in asked.streams]) as reader,
             ImportSource(reader, asked) as source,
         ):
-            frames: list[Any] = []
-            while not source.ended:
-                frames += source.take(0.0)
-        return touches_of(frames, path.name)
+            return touches_of(source.drain(), path.name)
     if path.suffix.lower() == ".rrd":
         touches = [row.item for row in read_results(path, (TouchEstimate,))]
         if touches:

@@ -12,9 +12,6 @@ from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.fit.residuals import Explanation
 from deformscope.stages.msm.solver import Msm
 
-FORCE_SHARE = 0.05
-"""Standard deviation of a force without stated noise, as a share of the force."""
-
 ONWARD_SHARE = 0.35
 """Standard deviation of a motion that is continued to a body's face, as a share of the difference."""
 
@@ -41,9 +38,8 @@ def contact_stiffness(seen: Sequence[Observation], level: float) -> tuple[float,
         if s.force_n is None or s.metres_per_unit is None or (push := pushed_along(s)) is None:
             continue
         _, moved, noise = push
-        force_sd = FORCE_SHARE * s.force_n if s.force_noise_n is None else s.force_noise_n
         noise = np.hypot(noise, s.scale_sd * moved)
-        rows.append((s.force_n, moved * s.metres_per_unit, force_sd, noise * s.metres_per_unit))
+        rows.append((s.force_n, moved * s.metres_per_unit, s.force_sd_n, noise * s.metres_per_unit))
     applied, moved_m, applied_sd, moved_sd = np.array(rows, dtype=np.float64).reshape(-1, 4).T
     return secant(applied, moved_m, applied_sd, moved_sd, level)
 
@@ -182,8 +178,7 @@ def stiffness(
         contact = s.held if s.contact is None else s.contact
         net = body.reaction(positions[row], beta, theta)[:, contact].sum(axis=1)
         simulated[:, column] = np.linalg.norm(net, axis=1) * float(s.metres_per_unit or 1.0)
-    given = [seen[row].force_noise_n for row in rows]
-    noise = np.array([FORCE_SHARE * f if n is None else n for n, f in zip(given, measured, strict=True)])
+    noise = np.array([seen[row].force_sd_n for row in rows])
     missed = np.zeros(len(rows)) if misfit is None else np.array([misfit[row] ** 2 for row in rows])
     scale = np.array([seen[row].scale_sd for row in rows])
     deviation = np.maximum(

@@ -15,6 +15,9 @@ from deformscope.stages.msm.solver import Msm, Precision
 
 Method = Literal["sweep", "gradient"]
 
+FORCE_SHARE = 0.05
+"""Standard deviation of a force without stated noise, as a share of the force."""
+
 TOUCHED_SHARE = 0.5
 """Held particles that moved more than this share of the largest motion among them count as touched."""
 
@@ -91,6 +94,11 @@ class Observation:
     def touched(self) -> IntArray:
         """(m,) particles that something pressed: `contact`, or, if that is unknown, the held particles that moved."""
         return touched_of(self.rest, self.deformed, self.held) if self.contact is None else self.contact
+
+    @property
+    def force_sd_n(self) -> float:
+        """Standard deviation of the force [N], the stated one if there is any; 0 without a force."""
+        return FORCE_SHARE * (self.force_n or 0.0) if self.force_noise_n is None else self.force_noise_n
 
     @property
     def free_observed(self) -> BoolArray:

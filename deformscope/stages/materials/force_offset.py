@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from deformscope.arrays import FloatArray
+from deformscope.arrays import BoolArray, FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.fit.estimate import Posterior
 from deformscope.stages.materials.press_cycle import PressForce
@@ -102,6 +102,10 @@ class _SmoothForce(PressForce):
     def at(self, time_s: FloatArray) -> FloatArray:
         return np.asarray(self._curve(np.clip(time_s, self.time_s[0], self.time_s[-1])))
 
+    def has(self, time_s: FloatArray) -> BoolArray:
+        """Which times (n,) lie within the log."""
+        return np.asarray((time_s >= self.time_s[0]) & (time_s <= self.time_s[-1]))
+
 
 def _lagged(time_s: FloatArray, depth: FloatArray, lag_s: float) -> FloatArray:
     """(T, 2 DEGREE + 1) powers of the depth from 1 on as a display with a time constant shows them, 1, and the powers
@@ -116,16 +120,16 @@ def _lagged(time_s: FloatArray, depth: FloatArray, lag_s: float) -> FloatArray:
     return np.column_stack([shown, np.ones(len(share)), powers])
 
 
-def _left(offset: float, time_s: FloatArray, columns: FloatArray, log: PressForce) -> tuple[FloatArray, FloatArray]:
+def _left(offset: float, time_s: FloatArray, columns: FloatArray, log: _SmoothForce) -> tuple[FloatArray, BoolArray]:
     """(n,) errors of the best polynomial at the frames that the log has, and which those are (T,)."""
-    inside = (time_s + offset >= log.time_s[0]) & (time_s + offset <= log.time_s[-1])
+    inside = log.has(time_s + offset)
     measured, some = log.at(time_s[inside] + offset), columns[inside, : DEGREE + 1]
     return measured - some @ np.linalg.lstsq(some, measured, rcond=None)[0], inside
 
 
-def _force(offset: float, time_s: FloatArray, columns: FloatArray, log: PressForce) -> FloatArray:
+def _force(offset: float, time_s: FloatArray, columns: FloatArray, log: _SmoothForce) -> FloatArray:
     """(T,) the log at each frame, less its zero, and with what its display has not shown yet."""
-    inside = (time_s + offset >= log.time_s[0]) & (time_s + offset <= log.time_s[-1])
+    inside = log.has(time_s + offset)
     shown, powers = columns[:, : DEGREE + 1], columns[:, DEGREE + 1 :]
     found = np.linalg.lstsq(shown[inside], log.at(time_s[inside] + offset), rcond=None)[0]
     return np.asarray(log.at(time_s + offset) - found[-1] + (powers - shown[:, :DEGREE]) @ found[:-1])

@@ -23,7 +23,7 @@ from deformscope.errors import InputError
 from deformscope.stages.fit.distance import explained_share, unexplained
 from deformscope.stages.fit.doubts import known_of, little_explained
 from deformscope.stages.fit.estimate import Doubt, Plane, Posterior, WithInterval
-from deformscope.stages.fit.force import FLOW_WINDOW_PX, FORCE_SHARE, lattice_step, pushed_along
+from deformscope.stages.fit.force import FLOW_WINDOW_PX, lattice_step, pushed_along
 from deformscope.stages.fit.model import Observation
 
 RATIOS = np.array([0.0, 0.08, 0.16, 0.24, 0.32, 0.4, 0.45, 0.49])
@@ -89,10 +89,10 @@ def plane_modulus(
     if len(seen.rest) <= MANY_CELLS:
         fine = _Body(seen, plane, push[0], fine=2)
         finer = float(np.log(fine.reaction(fine.solve(best), best))) - at_best
-    force_sd = FORCE_SHARE * seen.force_n if seen.force_noise_n is None else seen.force_noise_n
     noise = body.reaction_noise(state, best) / float(np.exp(at_best))
     share = max(explained_of(seen, body.particles(state), judged), 0.0)
-    variance = np.sum(np.square([force_sd / seen.force_n, seen.scale_sd, thickness_sd, noise, finer, 1.0 - share]))
+    shares = seen.force_sd_n / seen.force_n, seen.scale_sd, thickness_sd, noise, finer, 1.0 - share
+    variance = np.sum(np.square(shares))
     rng = np.random.default_rng(seed)
     nu = posterior.quantile(rng.random(DRAWS))
     scale = thickness_m * seen.metres_per_unit

@@ -21,7 +21,8 @@ from deformscope.stages.fit.estimate import (
     relative_verdict,
     verdict,
 )
-from deformscope.stages.fit.force import FORCE_SHARE, secant
+from deformscope.stages.fit.force import secant
+from deformscope.stages.fit.model import FORCE_SHARE
 from deformscope.stages.fit.noise import independent
 from deformscope.stages.fit.search import beta_of
 from deformscope.stages.msm.poke import Law, Tip

@@ -5,7 +5,8 @@ import pytest
 
 from deformscope.arrays import FloatArray
 from deformscope.stages.fit.calibrate import FitOptions, Model, Observation, calibrate
-from deformscope.stages.fit.force import FORCE_SHARE, Stiffness, stiffness, stiffness_posterior
+from deformscope.stages.fit.force import Stiffness, stiffness, stiffness_posterior
+from deformscope.stages.fit.model import FORCE_SHARE
 from deformscope.stages.msm import reference
 from tests.stages import reference_states
 from tests.stages.bodies import Pushed, pushed
