@@ -17,7 +17,6 @@ class DsaConfig:
 
     port: serial port, or URL (`socket://192.168.1.1:13000` for a hand with Ethernet)
     rle: run-length encoded frames, 3 to 12 times shorter; frame_rate_hz: requested (the firmware does not guarantee it)
-    streaming: False = frames come only when `single_frame` asks
     sensitivity: 0 to 1, for all matrices or each; None = the controller's present one
     threshold: texels below it read 0, 0 to 4095, for all or each; None = the controller's present one (firmware >= 268)
     calibration: for each matrix, or for all, the pressure of a count [Pa] or a `Curve`
@@ -27,7 +26,6 @@ class DsaConfig:
     port: str = ""
     rle: bool = True
     frame_rate_hz: int = 30
-    streaming: bool = True
     sensitivity: float | tuple[float, ...] | None = None
     threshold: int | tuple[int, ...] | None = None
     calibration: tuple[float | Curve, ...] = (SCHUNK_PA_PER_COUNT,)

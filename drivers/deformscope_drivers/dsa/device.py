@@ -18,7 +18,7 @@ from deformscope_drivers.dsa import messages
 from deformscope_drivers.dsa.config import DsaConfig
 from deformscope_drivers.dsa.measurer import TactileMeasurer, TactileReading, TimestampStatus
 from deformscope_drivers.dsa.pads import FloatArray, Pad, PadContact, pad_contact, to_pressure
-from deformscope_drivers.dsa.protocol import Decoder, encode, single, stop, stream
+from deformscope_drivers.dsa.protocol import Decoder, encode, stop, stream
 from deformscope_drivers.health import Identity
 from deformscope_drivers.transport import SerialTransport, Transport
 
@@ -40,7 +40,6 @@ CELLS_MAX = (0xFFFF - 5) // 2
 THRESHOLD_FROM = 268
 SENSITIVITY_READ_BACK_FROM = 219
 SENSITIVITY_TOLERANCE = 0.005
-_SINGLE_FRAME_FROM, _SINGLE_FRAME_ALSO = 289, 269
 
 COMMAND_TIMEOUT_S = 30.0
 
@@ -66,7 +65,7 @@ class Dsa(StreamDevice[TactileReading]):
         self._measurer = TactileMeasurer()
         super().__init__(
             transport or SerialTransport(config.port, BAUDRATE),
-            silence_s=config.silence_s if config.streaming else None,
+            silence_s=config.silence_s,
             reconnect=reconnect,
             stuck_after_s=config.stuck_after_s,
             clock=clock,
@@ -114,38 +113,6 @@ class Dsa(StreamDevice[TactileReading]):
             for counts, pressure_pa, matrix in zip(reading.pads, pressures_pa, self.matrices, strict=True)
         ]
 
-    # Commands: may be called from any thread -------------------------------------------------------------------------
-
-    def single_frame(self) -> TactileReading:
-        """One frame of a device that does not stream; readers get it too. Raises DeviceError while it streams."""
-
-        def take() -> TactileReading:
-            if self.config.streaming:
-                raise errors.DeviceError("a device that does not stream", "one that does", "next()", self.name)
-            self._begin_stream()
-            packet = encode(single(rle=self.config.rle))
-            try:
-                found: messages.Reading | messages.Ack = self._ask(packet, accept, REPLY_TIMEOUT_S, what="a frame")
-            except errors.NoReply:
-                self._stop()
-                raise
-            if isinstance(found, messages.Ack):
-                raise self._refusal(found.error, "taking one frame")
-            reading = next(iter(self._measure(found, self._heard_ns)))
-            self._publish(reading)
-            version = self.controller.software_version
-            if version < _SINGLE_FRAME_FROM and version != _SINGLE_FRAME_ALSO:  # it has started to stream
-                self._acknowledged(stop(), "stop")
-                self._settle(SETTLE_S)
-            return reading
-
-        def accept(event: messages.Reading | messages.Reply) -> Any:
-            if isinstance(event, messages.Ack):
-                return event if _is_answer(event, messages.Id.ACQUISITION) and event.error != messages.SUCCESS else None
-            return event if isinstance(event, messages.Reading) else None
-
-        return self._do(take, COMMAND_TIMEOUT_S)
-
     def identity(self) -> Identity:
         """Identity that the controller reported while connecting."""
         if self._controller is None:
@@ -181,13 +148,12 @@ class Dsa(StreamDevice[TactileReading]):
             self._set_sensitivity(number, sensitivity)
         for number, threshold in self._by_matrix("threshold", self.config.threshold):
             self._set_threshold(number, threshold)
-        self._expect(0.0 if self.config.streaming else None)
-        if self.config.streaming:
-            self._begin_stream()
-            command = stream(rle=self.config.rle, frame_rate_hz=self.config.frame_rate_hz)
-            self._acknowledged(command, "start of streaming")
-            self._silence_ns = round(self.config.silence_s * 1e9)
-            self._measured_ns = self._clock()
+        self._expect(0.0)
+        self._begin_stream()
+        command = stream(rle=self.config.rle, frame_rate_hz=self.config.frame_rate_hz)
+        self._acknowledged(command, "start of streaming")
+        self._silence_ns = round(self.config.silence_s * 1e9)
+        self._measured_ns = self._clock()
 
     def _stop(self) -> None:
         with contextlib.suppress(errors.DeviceError):

@@ -30,7 +30,6 @@ FACTORY_SENSITIVITY = 0.5
 FACTORY_THRESHOLD = 20
 NOISE_COUNTS = 4.0
 
-_SINGLE_FRAME_BROKEN_UP_TO, _SINGLE_FRAME_WORKS = 288, 269
 _THRESHOLD_FROM = 268
 _SENSITIVITY_READ_BACK_BROKEN_UP_TO = 218
 
@@ -80,7 +79,6 @@ class DsaDouble:
         self._stored = [_MatrixSettings() for _ in self.matrices]
         self._line = Line(bytes_per_s)
         self._acquisition = 0
-        self._once = False
         self._start(0)
 
     # The double's protocol (deformscope_drivers.doubles.Double) ------------------------------------------------------
@@ -136,8 +134,6 @@ class DsaDouble:
             flags = messages.FRAME_RLE if self._acquisition & messages.Acquisition.RLE else 0
             self._line.send(encode(messages.Reading(timestamp_ms, flags, self.texels(since_ns / 1e9))), at_ns)
             self._frame_ns = at_ns + FRAME_PERIOD_NS
-            if self._once:
-                self._acquisition = 0
 
     def _next_frame_ns(self) -> int | None:
         """The next frame is sent as soon as the line is free, but no more than 30 a second."""
@@ -151,7 +147,6 @@ class DsaDouble:
         self._decoder = CommandDecoder()
         self._settings = [_MatrixSettings(one.sensitivity, one.threshold) for one in self._stored]
         self._acquisition = 0
-        self._once = False
         self._frame_ns = now_ns
 
     def _carry_out(self, command: messages.Command | Faulty, now_ns: int) -> messages.Reply | None:
@@ -160,11 +155,6 @@ class DsaDouble:
                 return messages.Ack(command.id, command.error)
             case messages.ConfigureAcquisition():
                 self._acquisition = command.flags
-                quirk = (
-                    self._software_version <= _SINGLE_FRAME_BROKEN_UP_TO
-                    and self._software_version != _SINGLE_FRAME_WORKS
-                )
-                self._once = command.frame_rate_hz == 0 and not quirk
                 self._frame_ns = max(self._frame_ns, now_ns)
                 return messages.Ack(messages.Id.ACQUISITION)
             case messages.QueryController():

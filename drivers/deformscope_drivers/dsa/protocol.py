@@ -35,11 +35,6 @@ def stream(*, rle: bool = True, frame_rate_hz: int = 30) -> messages.ConfigureAc
     )
 
 
-def single(*, rle: bool = True) -> messages.ConfigureAcquisition:
-    """Send one frame; firmware up to 288, except 269, starts to stream instead."""
-    return stream(rle=rle, frame_rate_hz=0)
-
-
 def stop() -> messages.ConfigureAcquisition:
     """Stop sending frames; the RLE flag is set, as in Schunk's software."""
     return messages.ConfigureAcquisition(messages.Acquisition.RLE)

@@ -5,8 +5,6 @@ from deformscope_drivers.arm.commands import JointVelocity as JointVelocity
 from deformscope_drivers.errors import MotionStopped as MotionStopped
 from deformscope_drivers.errors import NotStopped as NotStopped
 from deformscope_drivers.jaco.chains import urdf_path as urdf_path
-from deformscope_drivers.jaco.commands import CartesianTarget as CartesianTarget
-from deformscope_drivers.jaco.commands import JointTarget as JointTarget
 from deformscope_drivers.jaco.config import EthernetAddresses as EthernetAddresses
 from deformscope_drivers.jaco.config import JacoConfig as JacoConfig
 from deformscope_drivers.jaco.config import Workspace as Workspace

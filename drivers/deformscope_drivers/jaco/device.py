@@ -10,15 +10,15 @@ and never in advance. A velocity lasts only as long as its sender renews it:
 - closed, an exception, Ctrl-C, the interpreter's end: erased before the library is closed
 
 A process that is killed outright (SIGKILL) can erase nothing. The arm then carries out the waiting points: one or two
-velocity points, that is 20 ms of motion. A `move_to` in progress is one point, and continues to its target."""
+velocity points, that is 20 ms of motion. An arm on its way home goes on."""
 
 import contextlib
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Self
 
-from deformscope_drivers.arm.commands import JointVelocity, Velocity, by_joints, finite, linear_velocity_of
+from deformscope_drivers.arm.commands import JointVelocity, Velocity, by_joints, linear_velocity_of
 from deformscope_drivers.arm.device import CALL_MS, Arm
 from deformscope_drivers.arm.hosted import HostedArm
 from deformscope_drivers.arm.kinematics import Chain
@@ -26,14 +26,13 @@ from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.device import RECONNECT, Reconnect
 from deformscope_drivers.errors import LinkLost, MotionStopped, NotConnected, OutOfLimits, Stale
 from deformscope_drivers.health import Identity, Link
-from deformscope_drivers.jaco import commands, structures
 from deformscope_drivers.jaco.chains import urdf_path
-from deformscope_drivers.jaco.commands import JointTarget, Target
+from deformscope_drivers.jaco.commands import velocity_point
 from deformscope_drivers.jaco.config import JacoConfig
 from deformscope_drivers.jaco.errors import NotHomed, NotReached, VendorError
-from deformscope_drivers.jaco.library import Functions, Library, call, read
+from deformscope_drivers.jaco.library import Functions, Library, call
 from deformscope_drivers.jaco.reading import JacoState, StateReader
-from deformscope_drivers.jaco.startup import CONFIGURATION_GAP_S, JacoIdentity, bring_up, check_pose, let_go
+from deformscope_drivers.jaco.startup import JacoIdentity, bring_up, check_pose, let_go
 from deformscope_drivers.memory import SimulatedClock
 from deformscope_drivers.pacing import Pacer, SlotPacer
 
@@ -44,8 +43,6 @@ COMMAND_TIMEOUT_S = 6.0  # the vendor's library waits up to 5 s for a packet
 LOOK_AHEAD_S = 0.1
 STATE_AGE_S = 0.5
 STILL_DEG_S, STILL_S = 1.0, 0.5
-REACHED_M, REACHED_RAD, REACHED_DEG, REACHED_FINGER = 2e-3, 0.02, 0.5, 70.0
-CANDLE_DEG, CANDLE_WITHIN_DEG = 180.0, 3.0
 HOME_PAUSE_S = 1.0
 """Time from stopping the control to starting it before `MoveHome`, as in kinova-ros' `KinovaComm::homeArm`."""
 
@@ -77,13 +74,12 @@ class Jaco(Arm[JacoState]):
         super().__init__(self._functions.where, reconnect=reconnect, clock=clock)
         self._arm: JacoIdentity | None = None
         self._waiting = Pacer(clock)
-        self._position_until_ns: int | None = None
+        self._homing_until_ns: int | None = None
         self._erase_due = False
         self._pacer = SlotPacer(PERIOD_NS)
         self._reader: StateReader | None = None
         self._state: JacoState | None = None
         self._crowded = False
-        self._configured_ns = 0
         self._sent = self._expired = self._left_out = self._refused_in_a_row = 0
 
     # Lifecycle -------------------------------------------------------------------------------------------------------
@@ -127,8 +123,8 @@ class Jaco(Arm[JacoState]):
 
     def _disconnect(self) -> None:
         with self._commanded:
-            moving = self._erase_due or self._streamed is not None or self._position_until_ns is not None
-            self._streamed = self._position_until_ns = None
+            moving = self._erase_due or self._streamed is not None or self._homing_until_ns is not None
+            self._streamed = self._homing_until_ns = None
             self._erase_due = False
             if moving and not self._closing.is_set():
                 self._stopped = self._stopped or "the link to the arm was lost while it moved"
@@ -183,10 +179,10 @@ class Jaco(Arm[JacoState]):
     def _command(self, now_ns: int, late_ns: int) -> None:
         """Send the point of this slot, if there is one; end motions that must stop."""
         with self._commanded:
-            streamed, position_until_ns = self._streamed, self._position_until_ns
+            streamed, homing_until_ns = self._streamed, self._homing_until_ns
         if streamed is None:
-            if position_until_ns is not None and now_ns > position_until_ns:
-                self._halt("no caller waited any more for the arm to reach its target")
+            if homing_until_ns is not None and now_ns > homing_until_ns:
+                self._halt("no caller waited any more for the arm to be at home")
             if self._erase_due:
                 self._erase()
             return
@@ -215,7 +211,7 @@ class Jaco(Arm[JacoState]):
         return by_joints(velocity, self.chain, self.config, self._state.joints_deg)
 
     def _send(self, velocity: JointVelocity) -> None:
-        call(self._functions, "SendBasicTrajectory", commands.velocity_point(velocity))
+        call(self._functions, "SendBasicTrajectory", velocity_point(velocity))
         self._sent += 1
 
     def _erase(self) -> None:
@@ -230,7 +226,7 @@ class Jaco(Arm[JacoState]):
     def _forget_commands(self, stopped_because: str = "") -> None:
         """The command is over, and the FIFO is due to be erased; no command can slip in between."""
         with self._commanded:
-            self._streamed = self._position_until_ns = None
+            self._streamed = self._homing_until_ns = None
             self._stopped = self._stopped or stopped_because
             self._erase_due = True
 
@@ -269,76 +265,13 @@ class Jaco(Arm[JacoState]):
         self._forget_commands(reason or "by command")
         self._do(self._erase, COMMAND_TIMEOUT_S)
 
-    def move_to(self, target: Target, timeout_s: float = 30.0) -> JacoState:
-        """Send the arm to a target at the configured speed limits, and wait until it is there and still.
-
-        target: CartesianTarget (the hand in the base frame) or JointTarget. The path is the arm's own choice; the ends
-        are checked (ranges, workspace, reachable), what lies between is not. Raises OutOfLimits before anything is
-        sent, NotReached after timeout_s; on any exception, Ctrl-C too, the arm is stopped."""
-        self._require_moves()
-        self._require_homed()
-        commands.check_target(target, self.chain, self.config, self._fresh().joints_deg, self.name)
-        control = "SetAngularControl" if isinstance(target, JointTarget) else "SetCartesianControl"
-
-        def there(state: JacoState) -> bool:
-            if isinstance(target, JointTarget):
-                left = max(abs(a - b) for a, b in zip(state.joints_deg, target.joints_deg, strict=True))
-                return left <= REACHED_DEG and _still(state)
-            x, y, z = (a - b for a, b in zip(state.position_m, target.position_m, strict=True))
-            turned = commands.rotation_between(state.theta_rad, target.theta_rad)
-            return (x * x + y * y + z * z) ** 0.5 <= REACHED_M and turned <= REACHED_RAD and _still(state)
-
-        return self._travel(commands.target_point(target, self.config), control, there, timeout_s, f"{target}")
-
-    def move_fingers(self, fingers: Sequence[float], timeout_s: float = 5.0) -> JacoState:
-        """Move the fingers to positions (3,) from 0 (open) to 6800 (closed), and wait until they are still.
-
-        The joints hold their commanded angles: at the measured angles the arm would sink by its sag, in each call.
-        Fingers that hold something stop before their target: no error, the state has their positions."""
-        self._require_moves()
-        self._require_homed()
-        values = commands.check_fingers(fingers, self.name)
-        history: list[JacoState] = []
-
-        def there(state: JacoState) -> bool:
-            if max(abs(a - b) for a, b in zip(state.fingers, values, strict=True)) <= REACHED_FINGER:
-                return True
-            history.append(state)
-            since = [old for old in history if state.stamp.host_ns - old.stamp.host_ns <= 0.5e9]
-            spread = max(max(old.fingers[i] for old in since) - min(old.fingers[i] for old in since) for i in range(3))
-            return len(history) > len(since) and spread < 10.0
-
-        held = self._do(
-            lambda: read(self._functions, "GetAngularCommand", structures.AngularPosition), COMMAND_TIMEOUT_S
-        )
-        held_deg = structures.actuator_values(held.Actuators, self.chain.joint_count)
-        point = commands.fingers_point(values, held_deg, self.config)
-        return self._travel(point, None, there, timeout_s, f"fingers at {values}")
-
     def home(self, timeout_s: float = 60.0) -> JacoState:
         """Send the arm to its own home pose, on its own path and at its own speed. Wait until it is at rest, and
         reports that it is at home. An arm needs this once after it was switched on, by this call or by its joystick's
-        home button. The arm's control is first stopped and started again, as in the vendor's driver."""
+        home button. The arm's control is first stopped and started again, as in the vendor's driver. Raises NotReached
+        after timeout_s; on any exception, Ctrl-C too, the arm is stopped."""
         self._require_moves()
         moving_ns: int | None = None
-
-        def there(state: JacoState) -> bool:
-            nonlocal moving_ns
-            if moving_ns is None or not _still(state):
-                moving_ns = state.stamp.host_ns
-            return state.homed and state.stamp.host_ns - moving_ns >= STILL_S * 1e9
-
-        return self._travel(None, None, there, timeout_s, "home")
-
-    def _travel(
-        self,
-        point: structures.TrajectoryPoint | None,
-        control: str | None,
-        there: Callable[[JacoState], bool],
-        timeout_s: float,
-        where_to: str,
-    ) -> JacoState:
-        """Set out (None = for home) and wait for the arm to be there; whatever happens instead, it is stopped."""
         until_ns = self._clock() + round(timeout_s * 1e9)
         began = given_up = False
 
@@ -348,22 +281,17 @@ class Jaco(Arm[JacoState]):
                 self._require_moves()
                 if given_up:  # by Ctrl-C, say, before the device's thread came to it
                     return
-                if self._streamed is not None or self._position_until_ns is not None:
+                if self._streamed is not None or self._homing_until_ns is not None:
                     raise OutOfLimits("an arm at rest", "one that is moving", "stop() first", self.name)
-                self._position_until_ns = until_ns + round(STATE_AGE_S * 1e9)
+                self._homing_until_ns = until_ns + round(STATE_AGE_S * 1e9)
                 began = True
             self._erase()
-            if control is not None:
-                call(self._functions, control)
-            if point is None:
-                call(self._functions, "StopControlAPI")
-            else:
-                call(self._functions, "SendAdvanceTrajectory", point)
+            call(self._functions, "StopControlAPI")
 
         def require_under_way() -> None:
             self._require_moves()
-            if self._position_until_ns is None:
-                raise MotionStopped(f"an arm on its way: {where_to}", "stop()", "send it again", self.name)
+            if self._homing_until_ns is None:
+                raise MotionStopped("an arm on its way home", "stop()", "send it again", self.name)
 
         def move_home() -> None:
             require_under_way()
@@ -371,98 +299,28 @@ class Jaco(Arm[JacoState]):
 
         try:
             self._do(set_out, COMMAND_TIMEOUT_S)
-            if point is None:
-                try:
-                    self._pass_time(HOME_PAUSE_S)
-                finally:
-                    self._do(lambda: call(self._functions, "StartControlAPI"), COMMAND_TIMEOUT_S)
-                self._do(move_home, COMMAND_TIMEOUT_S)
+            try:
+                self._pass_time(HOME_PAUSE_S)
+            finally:
+                self._do(lambda: call(self._functions, "StartControlAPI"), COMMAND_TIMEOUT_S)
+            self._do(move_home, COMMAND_TIMEOUT_S)
             while (left_s := (until_ns - self._clock()) / 1e9) > 0:
                 state = None
                 with contextlib.suppress(Stale):
                     state = self.next(min(left_s, STATE_AGE_S))
                 require_under_way()
-                if state is not None and there(state):
+                if state is None:
+                    continue
+                if moving_ns is None or max(map(abs, state.rates_deg_s)) > STILL_DEG_S:
+                    moving_ns = state.stamp.host_ns
+                if state.homed and state.stamp.host_ns - moving_ns >= STILL_S * 1e9:
                     return state
-            came = f"an arm that arrives within {timeout_s:g} s"
-            raise NotReached(where_to, came, "a longer timeout_s", self.name)
+            raise NotReached("home", f"an arm that arrives within {timeout_s:g} s", "a longer timeout_s", self.name)
         finally:
             with self._commanded:
                 given_up = True
             if began and self.is_open and self.link is Link.CONNECTED:
                 self.stop()
-
-    # Force -----------------------------------------------------------------------------------------------------------
-
-    def start_force_control(self, control: Literal["cartesian", "joint"] = "cartesian") -> None:
-        """Let the arm yield to pushes (admittance), at the end effector or joint by joint, until it is stopped.
-
-        Velocities and targets are added to that motion. The arm must be upright, with its torque sensors zeroed."""
-        if control not in ("cartesian", "joint"):
-            raise OutOfLimits("'cartesian' or 'joint'", repr(control), "", self.name)
-        self._configure("SetCartesianControl" if control == "cartesian" else "SetAngularControl")
-        self._configure("StartForceControl")
-
-    def stop_force_control(self) -> None:
-        """End force control: the arm holds its position again."""
-        self._do(lambda: call(self._functions, "StopForceControl"), COMMAND_TIMEOUT_S)
-
-    def set_force_range(self, least: Sequence[float], most: Sequence[float]) -> None:
-        """Pushes (6,) [N, Nm] below `least` are ignored, and larger ones count as `most`."""
-        self._configure("SetCartesianForceMinMax", *self._pair(structures.CartesianInfo, 6, least, most, ordered=True))
-
-    def set_inertia_damping(self, inertia: Sequence[float], damping: Sequence[float]) -> None:
-        """Apparent inertia of the end effector: inertia (6,) [kg, kg m^2], damping (6,) [N s/m, Nm s/rad]."""
-        self._configure("SetCartesianInertiaDamping", *self._pair(structures.CartesianInfo, 6, inertia, damping))
-
-    def set_joint_torque_range(self, least: Sequence[float], most: Sequence[float]) -> None:
-        """Joint torques (n,) [Nm] below `least` are ignored, and larger ones count as `most`."""
-        count = self.chain.joint_count
-        self._configure("SetAngularTorqueMinMax", *self._pair(structures.AngularInfo, count, least, most, ordered=True))
-
-    def set_joint_inertia_damping(self, inertia: Sequence[float], damping: Sequence[float]) -> None:
-        """Apparent inertia of the joints: inertia (n,) [kg m^2], damping (n,) [Nm s/rad]."""
-        count = self.chain.joint_count
-        self._configure("SetAngularInertiaDamping", *self._pair(structures.AngularInfo, count, inertia, damping))
-
-    def set_torque_zero(self, joint: int | None = None) -> None:
-        """Call the torque that a joint shows now zero (1 to n; None = all, one after the other).
-
-        Call it only in the candle pose, with all joints at 180 deg, where gravity turns no joint, else OutOfLimits."""
-        state = self._fresh()
-        count = self.chain.joint_count
-        if joint is not None and not 1 <= joint <= count:
-            raise OutOfLimits(f"a joint from 1 to {count}", repr(joint), "", self.name)
-        if max(abs(angle - CANDLE_DEG) for angle in state.joints_deg) > CANDLE_WITHIN_DEG:
-            expected = f"all joints within {CANDLE_WITHIN_DEG:g} deg of {CANDLE_DEG:g} deg"
-            came = f"{tuple(round(angle, 1) for angle in state.joints_deg)} deg"
-            raise OutOfLimits(expected, came, f"move_to(JointTarget(({CANDLE_DEG:g},) * {count}))", self.name)
-        for number in range(1, count + 1) if joint is None else (joint,):
-            self._configure("SetTorqueZero", structures.ACTUATOR_ADDRESSES[number - 1])
-
-    def _pair(
-        self,
-        kind: type[structures.CartesianInfo] | type[structures.AngularInfo],
-        count: int,
-        first: Sequence[float],
-        second: Sequence[float],
-        *,
-        ordered: bool = False,
-    ) -> tuple[structures.CartesianInfo | structures.AngularInfo, structures.CartesianInfo | structures.AngularInfo]:
-        lows = finite("values", first, count, self.name)
-        highs = finite("values", second, count, self.name)
-        if min(*lows, *highs) < 0 or (ordered and any(low > high for low, high in zip(lows, highs, strict=True))):
-            expected = "values from 0" + (", the least not above the most" if ordered else "")
-            raise OutOfLimits(expected, f"{lows} and {highs}", "", self.name)
-        return kind(*lows), kind(*highs)
-
-    def _configure(self, name: str, *arguments: object) -> None:
-        """Write to the arm's configuration, no sooner than 100 ms after the last time."""
-        wait_s = CONFIGURATION_GAP_S - (self._clock() - self._configured_ns) / 1e9
-        if self._configured_ns and wait_s > 0:
-            self._pass_time(wait_s)
-        self._do(lambda: call(self._functions, name, *arguments), COMMAND_TIMEOUT_S)
-        self._configured_ns = self._clock()
 
     # Within ----------------------------------------------------------------------------------------------------------
 
@@ -475,13 +333,6 @@ class Jaco(Arm[JacoState]):
         while (left_ns := until_ns - self._clock()) > 0:
             self.poll(left_ns / 1e9)
 
-    def _fresh(self) -> JacoState:
-        """The latest state, of the last STATE_AGE_S; the next one is waited for where that is older."""
-        try:
-            return self.latest(STATE_AGE_S)
-        except Stale:
-            return self.next(2.0)
-
     @property
     def homed(self) -> bool:
         """Whether the arm says that it was at home since it was switched on; read once a second."""
@@ -489,14 +340,10 @@ class Jaco(Arm[JacoState]):
 
     def _require_ready(self) -> None:
         self._require_homed()
-        if self._position_until_ns is not None:
-            raise OutOfLimits("an arm that is not moving to a target", "one that is", "stop() first", self.name)
+        if self._homing_until_ns is not None:
+            raise OutOfLimits("an arm that is not on its way home", "one that is", "stop() first", self.name)
 
     def _require_homed(self) -> None:
         if self.config.require_home and not self.homed:
             advice = "hold its joystick's home button until it rests; or deformscope arm home RIG; or arm.home()"
             raise NotHomed("an arm that was homed after power-on", "one that was not", advice, self.name)
-
-
-def _still(state: JacoState) -> bool:
-    return max(map(abs, state.rates_deg_s)) <= STILL_DEG_S

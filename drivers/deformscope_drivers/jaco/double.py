@@ -19,6 +19,7 @@ from deformscope_drivers.jaco import structures
 from deformscope_drivers.jaco.chains import CHAINS
 from deformscope_drivers.jaco.errors import OK
 from deformscope_drivers.jaco.simulation import FIFO_SIZE, SimulatedArm
+from deformscope_drivers.jaco.structures import PositionType
 from deformscope_drivers.jaco.zones import boxes_of
 
 CYCLE_NS = 10_000_000
@@ -38,12 +39,6 @@ _JOINT_READINGS: dict[str, Callable[[SimulatedArm], FloatArray]] = {
     "GetAngularForce": SimulatedArm.torque_nm,
     "GetAngularForceGravityFree": SimulatedArm.external_torque_nm,
     "GetAngularCurrent": SimulatedArm.currents_a,
-}
-_ADMITTANCE = {
-    "SetCartesianForceMinMax": ("force_min", "force_max"),
-    "SetCartesianInertiaDamping": ("inertia", "damping"),
-    "SetAngularTorqueMinMax": ("torque_min", "torque_max"),
-    "SetAngularInertiaDamping": ("joint_inertia", "joint_damping"),
 }
 
 
@@ -100,8 +95,6 @@ class JacoDouble:
     def _function(self, name: str) -> Callable[..., int | None]:
         if name in _JOINT_READINGS:
             return lambda response: _write_joints(response, _JOINT_READINGS[name](self._arm))
-        if name in _ADMITTANCE:
-            return lambda *given: self._set_admittance(_ADMITTANCE[name], given)
         found: Callable[..., int | None] = getattr(self, name)
         return found
 
@@ -148,16 +141,6 @@ class JacoDouble:
         with self._present():
             self._arm.joints_deg = self.chain.clip(joints_deg)
             self._arm.links = self.chain.forward(self._arm.joints_deg)
-
-    def put_between_fingers(self, at: npt.ArrayLike) -> None:
-        """Put an obstacle between the fingers at these positions, (3,) from 0 to 6800: they close no further."""
-        with self._present():
-            self._arm.grip = np.array(at, dtype=float)
-
-    def sag(self, sag_deg: npt.ArrayLike) -> None:
-        """Offset of the joints from their commanded angles, (n,) [deg], as by weight."""
-        with self._present():
-            self._arm.sag_deg = np.array(sag_deg, dtype=float)
 
     def late(self, seconds: float) -> None:
         """Let the arm follow its commands so late, as its inertia and its own control have it do."""
@@ -284,25 +267,11 @@ class JacoDouble:
     def StopControlAPI(self) -> None:
         self._arm.stop_control()
 
-    def SetAngularControl(self) -> None:
-        self._arm.angular_control = True
-
-    def SetCartesianControl(self) -> None:
-        self._arm.angular_control = False
-
     def SendBasicTrajectory(self, point: structures.TrajectoryPoint) -> int:
-        """A basic point carries no limitations."""
-        basic = structures.TrajectoryPoint.from_buffer_copy(point)
-        basic.LimitationsActive = 0
-        return self._queue(basic)
-
-    def SendAdvanceTrajectory(self, point: structures.TrajectoryPoint) -> int:
-        return self._queue(structures.TrajectoryPoint.from_buffer_copy(point))
-
-    def _queue(self, point: structures.TrajectoryPoint) -> int:
-        if point.Position.Type not in structures.PositionType.__members__.values():
+        if point.Position.Type not in (PositionType.CARTESIAN_VELOCITY, PositionType.ANGULAR_VELOCITY):
             return _INVALID
-        return OK if self._arm.queue(point) else _NACK  # what the arm answers when it is full is not public
+        # what the arm answers when it is full is not public
+        return OK if self._arm.queue(structures.TrajectoryPoint.from_buffer_copy(point)) else _NACK
 
     def EraseAllTrajectories(self) -> None:
         self._arm.erase()
@@ -311,10 +280,6 @@ class JacoDouble:
         response.TrajectoryCount = len(self._arm.fifo)
         response.UsedPercentage = 100.0 * len(self._arm.fifo) / FIFO_SIZE
         response.MaxSize = FIFO_SIZE
-
-    def GetActualTrajectoryInfo(self, response: structures.TrajectoryPoint) -> None:
-        point = self._arm.fifo[0] if self._arm.fifo else structures.TrajectoryPoint()
-        ctypes.memmove(ctypes.byref(response), ctypes.byref(point), ctypes.sizeof(response))
 
     def MoveHome(self) -> None:
         """Returns at once; the arm is moving."""
@@ -327,11 +292,6 @@ class JacoDouble:
 
     def GetAngularPosition(self, response: structures.AngularPosition) -> None:
         _write_joints(response, self._arm.joints_deg)
-        self._write_fingers(response)
-
-    def GetAngularCommand(self, response: structures.AngularPosition) -> None:
-        """The commanded angles of the joints: the measured ones less their sag."""
-        _write_joints(response, self._arm.joints_deg - self._arm.sag_deg)
         self._write_fingers(response)
 
     def GetCartesianPosition(self, response: structures.CartesianPosition) -> None:
@@ -366,7 +326,7 @@ class JacoDouble:
     def GetQuickStatus(self, response: structures.QuickStatus) -> None:
         response.Finger1Status = response.Finger2Status = response.Finger3Status = int(self._arm.fingers_ready)
         response.ControlEnableStatus = int(not self._arm.control)
-        response.ForceControlStatus = int(not self._arm.admittance.active)
+        response.ForceControlStatus = 1
         response.TorqueSensorsStatus = 1
         response.RetractType = self._arm.retract
 
@@ -388,32 +348,14 @@ class JacoDouble:
 
     # Force -----------------------------------------------------------------------------------------------------------
 
-    def StartForceControl(self) -> None:
-        self._arm.admittance.start()
-
     def StopForceControl(self) -> None:
-        self._arm.admittance.active = False
-
-    def SetTorqueZero(self, address: int) -> int:
-        """The joint sensor's present torque without gravity becomes zero."""
-        if address not in structures.ACTUATOR_ADDRESSES[: self.chain.joint_count]:
-            return _INVALID
-        joint = structures.ACTUATOR_ADDRESSES.index(address)
-        self._arm.torque_bias_nm[joint] -= self._arm.external_torque_nm()[joint]
-        return OK
+        """It never began."""
 
     def SetTorqueSafetyFactor(self, factor: float) -> int:
         return OK if 0.0 <= factor <= 1.0 else _INVALID
 
     def SetGravityType(self, kind: int) -> int:
         return OK if kind in (0, 1) else _INVALID
-
-    def _set_admittance(self, names: tuple[str, str], given: Sequence[Any]) -> None:
-        for name, values in zip(names, given, strict=True):
-            cartesian = isinstance(values, structures.CartesianInfo)
-            joints = self.chain.joint_count
-            found = structures.cartesian_values(values) if cartesian else structures.actuator_values(values, joints)
-            setattr(self._arm.admittance, name, np.array(found))
 
     # Within ----------------------------------------------------------------------------------------------------------
 

@@ -2,7 +2,7 @@
 
 There are two libraries: USBCommandLayerUbuntu.so, and EthCommandLayerUbuntu.so whose functions have the prefix
 `Ethernet_`. Neither exports all that the headers declare, so each function is looked up when it is first called.
-Parameters that the headers write as `T &` are pointers; points, devices and pairs of infos go by value."""
+Parameters that the headers write as `T &` are pointers; points and devices go by value."""
 
 import ctypes
 from collections.abc import Callable
@@ -34,19 +34,15 @@ SIGNATURES: dict[str, tuple[Any, ...]] = {
     # control and motion
     "StartControlAPI": (),
     "StopControlAPI": (),
-    "SetAngularControl": (),
-    "SetCartesianControl": (),
     "SendBasicTrajectory": (structures.TrajectoryPoint,),
-    "SendAdvanceTrajectory": (structures.TrajectoryPoint,),
     "EraseAllTrajectories": (),
     "GetGlobalTrajectoryInfo": (POINTER(structures.TrajectoryFIFO),),
-    "GetActualTrajectoryInfo": (POINTER(structures.TrajectoryPoint),),
     "MoveHome": (),
     "InitFingers": (),
     # readings
     **{
         f"GetAngular{what}": (POINTER(structures.AngularPosition),)
-        for what in ("Position", "Command", "Velocity", "Force", "ForceGravityFree", "Current")
+        for what in ("Position", "Velocity", "Force", "ForceGravityFree", "Current")
     },
     **dict.fromkeys(("GetCartesianPosition", "GetCartesianForce"), (POINTER(structures.CartesianPosition),)),
     "GetCommandVelocity": (structures.CartesianRates, structures.AngularRates),
@@ -58,13 +54,7 @@ SIGNATURES: dict[str, tuple[Any, ...]] = {
     "SetProtectionZone": (structures.ZoneList,),
     "GetProtectionZone": (POINTER(structures.ZoneList),),
     # force
-    "StartForceControl": (),
     "StopForceControl": (),
-    "SetCartesianForceMinMax": (structures.CartesianInfo, structures.CartesianInfo),
-    "SetCartesianInertiaDamping": (structures.CartesianInfo, structures.CartesianInfo),
-    "SetAngularTorqueMinMax": (structures.AngularInfo, structures.AngularInfo),
-    "SetAngularInertiaDamping": (structures.AngularInfo, structures.AngularInfo),
-    "SetTorqueZero": (c_int,),
     "SetTorqueSafetyFactor": (c_float,),
     "SetGravityType": (c_int,),
 }

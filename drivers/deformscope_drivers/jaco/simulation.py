@@ -3,10 +3,9 @@
 As in the protocol reference, the arm has a FIFO of 2000 trajectory points. One velocity point is used in each cycle:
 points sent faster accumulate, and the arm continues to move after the sender has stopped. Cartesian velocities are
 ignored without a report after motion by joints, and all Cartesian motion until the arm was homed (kinova-ros issues 62,
-148, 269). Position points are followed at a limited speed; there are joint ranges and speeds, and fingers from 0 to
-6800. Control must be started, and its first start after a cold boot may be ignored; a push from outside causes
-admittance. If the real arm's behaviour is not published, the simplest one is modelled and marked. Joints follow at once
-unless they have greatest accelerations: there is no inertia but that of the admittance."""
+148, 269). There are joint ranges and speeds, and fingers that open. Control must be started; its first start after a
+cold boot may be ignored. If the real arm's behaviour is not published, the simplest one is modelled and marked. Joints
+follow at once unless they have greatest accelerations: there is no inertia."""
 
 from collections import deque
 
@@ -20,18 +19,15 @@ from deformscope_drivers.jaco import structures
 CYCLE_S = 0.01
 FIFO_SIZE = 2000
 FINGER_SPEED = 5000.0  # units/s; not published
-POSITION_SPEED_M_S, POSITION_SPEED_RAD_S = 0.15, 0.6  # of position points without limitations; not published
 HOME_SPEED_DEG_S = 20.0
 AT_HOME_DEG = 0.5
-REACHED_M, REACHED_RAD = 1e-5, 1e-4
 
 
 class SimulatedArm:
     """The arm's state, and `cycle` that carries it 10 ms on.
 
     wrench: (6,) what pushes the end effector [N, Nm] in the base frame; torque_bias_nm: (n,) what the joints' torque
-    sensors show too much; sag_deg: (n,) how far weight turns the joints beyond their commanded angles; grip: (3,)
-    position of each finger on its object; cycles: number of cycles so far. All attributes may be set between cycles.
+    sensors show too much; cycles: number of cycles so far. All attributes may be set between cycles.
     lag: the next rates, one for each cycle, by which the arm follows its commands late
     acceleration_deg_s2: largest acceleration of each joint at the start and end of a motion
     link_push: a link, from 0, and the force on its far end (3,) [N] in the base frame, None = nothing pushes one
@@ -48,13 +44,9 @@ class SimulatedArm:
         self.links: FloatArray = chain.forward(self.joints_deg)
         self.fingers: FloatArray = np.zeros(structures.FINGER_COUNT)
         self.fingers_ready = False
-        self.grip: FloatArray = np.full(structures.FINGER_COUNT, structures.FINGER_CLOSED)
         self.fifo: deque[structures.TrajectoryPoint] = deque()
         self.wrench: FloatArray = np.zeros(6)
         self.torque_bias_nm: FloatArray = np.zeros(chain.joint_count)
-        self.sag_deg: FloatArray = np.zeros(chain.joint_count)
-        self.angular_control = False
-        self.admittance = Admittance(chain.joint_count)
         self.control = False
         self.lag: deque[FloatArray] = deque()
         self.acceleration_deg_s2 = np.inf
@@ -64,7 +56,6 @@ class SimulatedArm:
         self._random = np.random.default_rng(0x70)
         self.homed = self.cartesian = not cold_boot
         self._cold = cold_boot
-        self._delay_left_s: float | None = None
         self._homing = False
         self._opening = False
         self.cycles = 0
@@ -94,7 +85,6 @@ class SimulatedArm:
     def erase(self) -> None:
         """Forget all points, and stop."""
         self.fifo.clear()
-        self._delay_left_s = None
         self._homing = self._opening = False
 
     def go_home(self) -> None:
@@ -109,7 +99,7 @@ class SimulatedArm:
     def power_up(self, cold_boot: bool) -> None:
         """Start as after switching on: nothing is left to do, control is off, the joints stay where they are."""
         self.erase()
-        self.control = self.admittance.active = self.fingers_ready = self.homed = self.cartesian = False
+        self.control = self.fingers_ready = self.homed = self.cartesian = False
         self._cold = cold_boot
 
     @property
@@ -127,7 +117,7 @@ class SimulatedArm:
     @property
     def at_rest(self) -> bool:
         """Whether the next cycle would change nothing."""
-        busy = self.control and (self.fifo or self._homing or self._opening or self.admittance.active)
+        busy = self.control and (self.fifo or self._homing or self._opening)
         return not busy and not np.any(self.rates_deg_s) and not any(map(np.any, self.lag))
 
     def cycle(self) -> None:
@@ -140,16 +130,11 @@ class SimulatedArm:
                 if not self._homing:
                     self.homed = self.cartesian = True
             elif self.fifo:
-                rates = self._follow(self.fifo[0])
+                rates = self._follow(self.fifo.popleft())
             if self._opening:
-                self._move_fingers(np.zeros(structures.FINGER_COUNT))
+                self.fingers = np.maximum(self.fingers - FINGER_SPEED * CYCLE_S, 0.0)
                 self._opening = bool(np.any(self.fingers))
                 self.fingers_ready = not self._opening
-            if self.admittance.active and self.angular_control:  # it yields to the push, on top of its command
-                torques = kinematics.jacobian_of(self.links).T @ self.wrench
-                rates = rates + np.degrees(self.admittance.joint_rates(torques))
-            elif self.admittance.active:
-                rates = rates + self._rates_of(self.admittance.twist(self.wrench))
         if self.lag:
             self.lag.append(rates)
             rates = self.lag.popleft()
@@ -159,76 +144,23 @@ class SimulatedArm:
         self._turn(rates)
 
     def _follow(self, point: structures.TrajectoryPoint) -> FloatArray:
-        """Joint rates (n,) [deg/s] that the first point asks for; takes it out once it is done."""
-        position, done = point.Position, True
+        """Joint rates (n,) [deg/s] that a point asks for."""
+        position = point.Position
         rates = np.zeros(self.chain.joint_count)
         kind = position.Type
-        if kind in (structures.PositionType.ANGULAR_VELOCITY, structures.PositionType.ANGULAR_POSITION):
-            self.cartesian = False  # until it goes home: kinova-ros issue 269
         if kind == structures.PositionType.ANGULAR_VELOCITY:
+            self.cartesian = False  # until it goes home: kinova-ros issue 269
             asked = np.array(structures.actuator_values(position.Actuators, self.chain.joint_count))
             rates = np.clip(asked, -self.chain.velocity_deg_s, self.chain.velocity_deg_s)
         elif kind == structures.PositionType.CARTESIAN_VELOCITY and self.cartesian:  # else ignored, without a word
             twist = np.array(structures.cartesian_values(position.CartesianPosition))
             twist[3:] = self.links[-1, :3, :3] @ twist[3:]  # a point's rotation is in the end effector's frame
             rates = self._outside_zones(self._rates_of(twist))
-        elif kind == structures.PositionType.ANGULAR_POSITION:
-            held = np.array(structures.actuator_values(position.Actuators, self.chain.joint_count))
-            target = self.chain.clip(held + self.sag_deg)
-            rates = self._towards(target, self._joint_speeds(point))
-            done = not np.any(rates)
-        elif kind == structures.PositionType.CARTESIAN_POSITION and self.homed:
-            rates, done = self._towards_pose(point)
-            rates = self._outside_zones(rates)
-        elif kind == structures.PositionType.DELAY:
-            self._delay_left_s = (position.Delay if self._delay_left_s is None else self._delay_left_s) - CYCLE_S
-            done = self._delay_left_s <= 1e-9
-        fingers_done = self._follow_fingers(point)
-        takes_one_cycle = kind in (structures.PositionType.ANGULAR_VELOCITY, structures.PositionType.CARTESIAN_VELOCITY)
-        if takes_one_cycle or (done and fingers_done):
-            self.fifo.popleft()
-            self._delay_left_s = None
         return rates
-
-    def _follow_fingers(self, point: structures.TrajectoryPoint) -> bool:
-        """Move the fingers for one cycle as a point asks; whether they have arrived."""
-        position = point.Position
-        if position.HandMode == structures.HandMode.POSITION:
-            target = np.clip(structures.finger_values(position.Fingers), 0.0, structures.FINGER_CLOSED)
-            self._move_fingers(target)
-            return bool(np.all(self.fingers == target))
-        if position.HandMode == structures.HandMode.VELOCITY:
-            step = np.clip(structures.finger_values(position.Fingers), -FINGER_SPEED, FINGER_SPEED) * CYCLE_S
-            self.fingers = np.clip(self.fingers + step, 0.0, self.grip)
-        return True
-
-    def _joint_speeds(self, point: structures.TrajectoryPoint) -> FloatArray:
-        """Speeds (n,) [deg/s] of an angular position point: its first limit is for joints 1 to 3."""
-        if not point.LimitationsActive:
-            return self.chain.velocity_deg_s
-        limits = np.full(self.chain.joint_count, point.Limitations.speedParameter2)
-        limits[:3] = point.Limitations.speedParameter1
-        speeds: FloatArray = np.minimum(limits, self.chain.velocity_deg_s)
-        return speeds
 
     def _towards(self, target_deg: FloatArray, speeds_deg_s: FloatArray) -> FloatArray:
         """Rates (n,) [deg/s] for one cycle towards joint angles; zero once there."""
         return np.clip((target_deg - self.joints_deg) / CYCLE_S, -speeds_deg_s, speeds_deg_s)
-
-    def _towards_pose(self, point: structures.TrajectoryPoint) -> tuple[FloatArray, bool]:
-        """Rates (n,) [deg/s] straight towards a pose, and whether it is reached; out of reach it is never done."""
-        x, y, z, *thetas = structures.cartesian_values(point.Position.CartesianPosition)
-        target = kinematics.transform(kinematics.rotation_from_euler_xyz(*thetas), (x, y, z))
-        error = kinematics.pose_error(self.links[-1], target)
-        if error[:3] @ error[:3] <= REACHED_M**2 and error[3:] @ error[3:] <= REACHED_RAD**2:
-            return np.zeros(self.chain.joint_count), True
-        speed_m_s, speed_rad_s = POSITION_SPEED_M_S, POSITION_SPEED_RAD_S
-        if point.LimitationsActive:
-            speed_m_s, speed_rad_s = point.Limitations.speedParameter1, point.Limitations.speedParameter2
-        twist = error / CYCLE_S
-        twist[:3] *= min(1.0, speed_m_s / max(float(np.linalg.norm(twist[:3])), 1e-12))
-        twist[3:] *= min(1.0, speed_rad_s / max(float(np.linalg.norm(twist[3:])), 1e-12))
-        return self._rates_of(twist), False
 
     def _rates_of(self, twist: FloatArray) -> FloatArray:
         """Joint rates (n,) [deg/s] of a twist (6,) [m/s, rad/s] in the base frame, slowed alike where one is too fast.
@@ -257,11 +189,6 @@ class SimulatedArm:
         self.joints_deg = self.chain.clip(before + rates_deg_s * CYCLE_S)
         self.rates_deg_s = (self.joints_deg - before) / CYCLE_S
         self.links = self.chain.forward(self.joints_deg)
-
-    def _move_fingers(self, target: FloatArray) -> None:
-        """Move the fingers one cycle towards a target (n,), within their speed and up to the gripped object."""
-        step = FINGER_SPEED * CYCLE_S
-        self.fingers = np.minimum(self.fingers + np.clip(target - self.fingers, -step, step), self.grip)
 
     # What its sensors show -------------------------------------------------------------------------------------------
 
@@ -300,48 +227,3 @@ class SimulatedArm:
     def currents_a(self) -> FloatArray:
         """About 0.1 A a joint at rest and 1 A for each 20 Nm, (n,) [A]: plausible, not measured."""
         return 0.1 + np.abs(self.torque_nm()) / 20.0
-
-
-class Admittance:
-    """Inertia and damping, driven by what of a push lies beyond the least, up to the most.
-
-    Defaults are plausible, not the arm's: it keeps its own."""
-
-    def __init__(self, joint_count: int) -> None:
-        self.active = False
-        self.force_min, self.force_max = np.zeros(6), np.full(6, np.inf)
-        self.inertia, self.damping = np.ones(6), np.array([80.0, 80.0, 80.0, 4.0, 4.0, 4.0])
-        self.torque_min, self.torque_max = np.zeros(joint_count), np.full(joint_count, np.inf)
-        self.joint_inertia, self.joint_damping = np.full(joint_count, 0.1), np.full(joint_count, 10.0)
-        self._twist: FloatArray = np.zeros(6)
-        self._joint_rates: FloatArray = np.zeros(joint_count)
-
-    def start(self) -> None:
-        """The arm moves with the wrench from now on; it begins at rest."""
-        self.active = True
-        self._twist = np.zeros_like(self._twist)
-        self._joint_rates = np.zeros_like(self._joint_rates)
-
-    def twist(self, wrench: FloatArray) -> FloatArray:
-        """Advance one cycle: velocity of the end effector (6,) [m/s, rad/s] under a wrench (6,) [N, Nm]."""
-        push = _beyond(wrench, self.force_min, self.force_max)
-        self._twist = _admit(self._twist, push, self.inertia, self.damping)
-        return self._twist
-
-    def joint_rates(self, torque_nm: FloatArray) -> FloatArray:
-        """Advance one cycle: joint rates (n,) [rad/s] under torques (n,) [Nm]."""
-        push = _beyond(torque_nm, self.torque_min, self.torque_max)
-        self._joint_rates = _admit(self._joint_rates, push, self.joint_inertia, self.joint_damping)
-        return self._joint_rates
-
-
-def _beyond(push: FloatArray, least: FloatArray, most: FloatArray) -> FloatArray:
-    """(n,) part of a push [N, Nm] that drives the admittance: nothing below `least`, no more than `most`, (n,) each."""
-    size = np.abs(push)
-    return np.where(size < least, 0.0, np.sign(push) * np.minimum(size, most))
-
-
-def _admit(rates: FloatArray, push: FloatArray, inertia: FloatArray, damping: FloatArray) -> FloatArray:
-    """(n,) rates after one cycle of inertia * acceleration + damping * rate = push, solved for its end: no ringing."""
-    moved: FloatArray = (inertia * rates + push * CYCLE_S) / np.maximum(inertia + damping * CYCLE_S, 1e-9)
-    return moved

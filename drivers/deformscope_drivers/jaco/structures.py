@@ -14,37 +14,22 @@ DEVICE_COUNT_MAX = 20
 FINGER_COUNT = 3
 FINGER_CLOSED = 6800.0
 ZONES_MAX, ZONE_POINTS = 10, 8
-ACTUATOR_ADDRESSES = (16, 17, 18, 19, 20, 21, 25)
-"""Addresses of the joints on the arm's bus; 22 to 24: the fingers (kinova-ros `kinova_comm.cpp`, setZeroTorque)."""
 
 
 class PositionType(IntEnum):
     """Kind of a trajectory point.
 
-    CARTESIAN_POSITION: metres and radians, base frame; ANGULAR_POSITION: degrees
     CARTESIAN_VELOCITY: X, Y, Z in m/s in the base frame, ThetaX, ThetaY, ThetaZ in rad/s in the end effector's frame
     ANGULAR_VELOCITY: degrees per second; both velocities for one cycle of 10 ms"""
 
-    NONE = 0
-    CARTESIAN_POSITION = 1
-    ANGULAR_POSITION = 2
     CARTESIAN_VELOCITY = 7
     ANGULAR_VELOCITY = 8
-    DELAY = 12
 
 
 class ShapeType(IntEnum):
     """Shape of a protection zone; the header states that all others are not used."""
 
     PRISM_SQUARE_BASE_Z = 2
-
-
-class HandMode(IntEnum):
-    """Finger command of a trajectory point."""
-
-    NONE = 0
-    POSITION = 1
-    VELOCITY = 2
 
 
 class RetractType(IntEnum):

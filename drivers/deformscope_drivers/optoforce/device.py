@@ -89,11 +89,6 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         """(channels, axes) counts that `zero` took away; None = nothing was taken away."""
         return self._measurer.offset
 
-    def set_speed(self, rate_hz: float) -> None:
-        """Have it send at another rate, as `OptoforceConfig.rate_hz`; 0 = stop. Raises CommandRefused."""
-        speed = speed_of(rate_hz)
-        self._do(lambda: self._change(replace(self.settings, speed=speed)), 10.0)
-
     def zero(self, *, still_counts: float = STILL_COUNTS) -> FloatArray:
         """Take the present load for zero; returns the counts that it was, (channels, axes).
 
@@ -245,7 +240,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
     def _zero(self, still_counts: float) -> FloatArray:
         rate_hz = self.settings.speed.rate_hz
         if not rate_hz:
-            raise SettingsRefused("a DAQ that sends", "one that is stopped", "set_speed(1000)", self.name)
+            raise SettingsRefused("a DAQ that sends", "one that is stopped", "rate_hz = 1000", self.name)
         count = max(STILL_READINGS, math.ceil(STILL_S * rate_hz))
         cutoff_hz = self.settings.filter.cutoff_hz
         settling_s = 0.0 if cutoff_hz is None else SETTLED / (2.0 * math.pi * cutoff_hz)

@@ -126,10 +126,6 @@ class Sdh(SdhConnection):
         )
         return self._run_motion(lambda: self._grip("grip", close, velocity_deg_s), wait, timeout_s)
 
-    def wait_until_still(self, timeout_s: float) -> MoveResult:
-        """Wait until no axis moves any more; what still moves then is stopped."""
-        return self._wait(_Started(self._clock(), None, None, self._connections, self._stops), timeout_s)
-
     def stop(self) -> StopReport:
         """Stop what `move` and `drive` started, at once; the axes stay on. See StopReport for motions that continue."""
         return self._do(self._stop_now, COMMAND_TIMEOUT_S)

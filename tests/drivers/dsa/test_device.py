@@ -112,11 +112,11 @@ def test_a_controller_that_is_still_starting() -> None:
 
 
 def test_a_controller_that_streams_to_nobody() -> None:
-    desk = Desk(DsaDouble(first_timestamp_ms=5000), streaming=False)
+    desk = Desk(DsaDouble(first_timestamp_ms=5000))
     desk.double.receive(encode(stream(rle=False)), 0)
     desk.clock.advance_to(3 * S)
     with desk:
-        assert desk.run(0.5) == []
+        assert desk.run(0.5)[0].stamp.device_ticks > 5000
 
 
 def test_nothing_answers() -> None:
@@ -210,11 +210,18 @@ class Wire(MemoryTransport):
         return slipped_in or super().read(timeout_s)
 
 
+class Quiet(DsaDouble):
+    """It acknowledges its stream and sends no frame."""
+
+    def _next_frame_ns(self) -> int | None:
+        return None
+
+
 def slipped(*timestamps_ms: int) -> tuple[Dsa, list]:
     """The readings that come of frames with those times."""
     clock = SimulatedClock()
-    wire = Wire(DsaDouble(matrices=[replace(DsaDouble().matrices[0], cells_x=2, cells_y=1)]), clock)
-    device = Dsa(DsaConfig(streaming=False), transport=wire, clock=clock).open(own_thread=False)
+    wire = Wire(Quiet(matrices=[replace(DsaDouble().matrices[0], cells_x=2, cells_y=1)]), clock)
+    device = Dsa(DsaConfig(silence_s=60.0), transport=wire, clock=clock).open(own_thread=False)
     readings = []
     for timestamp_ms in timestamps_ms:
         wire.slipped_in = encode(Reading(timestamp_ms, 0, np.array([1, 2], np.uint16)))
@@ -268,10 +275,10 @@ def test_five_frames_may_come_before_an_answer() -> None:
                     self._line.send(encode(Reading(60_000 + 33 * number, 1, np.zeros(486, np.uint16))), now_ns)
             return answer
 
-    desk = Desk(Late(), streaming=False, sensitivity=0.25)
+    desk = Desk(Late(), sensitivity=0.25)
     readings = desk.device.readings()
     with desk:
-        assert len(readings.take()) == 5
+        assert [reading.stamp.device_ticks for reading in readings.take()[:5]] == [60_033 + 33 * i for i in range(5)]
 
 
 def test_sensitivity_acts() -> None:
@@ -347,22 +354,6 @@ def test_settings_that_did_not_take_are_refused() -> None:
     desk.double.answers[SetSensitivity] = [Ack(0x0F)]
     with pytest.raises(errors.SettingsRefused, match=r"sensitivity 0\.75 of matrix 0"), desk:
         pass
-
-
-@pytest.mark.parametrize("version", [218, 262, 268, 269, 288, 289])
-def test_a_single_frame_whatever_the_firmware(version: int) -> None:
-    desk = Desk(DsaDouble(software_version=version), streaming=False)
-    with desk as device:
-        first, second = device.single_frame(), device.single_frame()
-        assert second.stamp.device_ticks > first.stamp.device_ticks
-        assert device.latest(10.0) is not None
-        assert desk.run(0.5) == []
-
-
-def test_no_single_frame_while_it_streams() -> None:
-    desk = Desk()
-    with desk as device, pytest.raises(errors.DeviceError, match="does not stream"):
-        device.single_frame()
 
 
 @pytest.mark.parametrize("version", [218, 267])

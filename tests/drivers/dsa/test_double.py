@@ -6,7 +6,7 @@ import pytest
 from deformscope_drivers.dsa import DsaDouble, messages
 from deformscope_drivers.dsa.double import BOOT_S
 from deformscope_drivers.dsa.pads import SCHUNK_PA_PER_COUNT, Pad, Part
-from deformscope_drivers.dsa.protocol import SDH_CELLS, Decoder, encode, single, stop, stream
+from deformscope_drivers.dsa.protocol import SDH_CELLS, Decoder, encode, stop, stream
 from deformscope_drivers.dsa.scene import GraspScene
 from tests.drivers.dsa.packets import ACK, checked, hexed
 
@@ -135,13 +135,6 @@ def test_next_ns_tells_when_to_come_back() -> None:
         visits += 1
     assert len(list(Decoder(SDH_CELLS).feed(found))) == 1 + 6
     assert visits <= 2 * len(found)  # most for one byte
-
-
-@pytest.mark.parametrize(("version", "goes_on"), [(262, True), (268, True), (269, False), (288, True), (289, False)])
-def test_a_single_frame(version: int, goes_on: bool) -> None:
-    double = DsaDouble(software_version=version, scene=pressed())
-    double.receive(encode(single()), 0)
-    assert len(frames_of(double, 1)) == (30 if goes_on else 1)
 
 
 @pytest.mark.parametrize(("version", "reported"), [(218, 0.5), (219, 0.75)])

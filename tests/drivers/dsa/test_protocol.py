@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deformscope_drivers.dsa.messages import Ack
-from deformscope_drivers.dsa.protocol import SDH_CELLS, CommandDecoder, Decoder, Faulty, encode, single, stop, stream
+from deformscope_drivers.dsa.protocol import SDH_CELLS, CommandDecoder, Decoder, Faulty, encode, stop, stream
 from deformscope_drivers.framing import Skipped, crc16
 from tests.drivers.dsa.packets import ACK, ANSWERS, COMMANDS, FRAME, STOP, checked, checksum, hexed, reading
 
@@ -67,7 +67,6 @@ def test_commands_by_name() -> None:
     assert encode(stop()) == STOP
     assert encode(stream()) == hexed("aa aa aa 03 03 00 81 1e 00 2c 76")
     assert encode(stream(rle=False)) == hexed("aa aa aa 03 03 00 80 1e 00 8e 1c")
-    assert encode(single()) == hexed("aa aa aa 03 03 00 81 00 00 2f 68")
 
 
 def raw_frame(*words: int, flags: int = 0) -> bytes:

@@ -10,10 +10,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol
 
-import numpy as np
 import pytest
 
-from deformscope_drivers.arm.kinematics import Chain, FloatArray
+from deformscope_drivers.arm.kinematics import Chain
 from deformscope_drivers.jaco.chains import CHAINS
 from deformscope_drivers.jaco.double import JacoDouble
 from deformscope_drivers.jaco.library import PREFIXES, Connection, Functions, Library
@@ -42,12 +41,6 @@ class VendorBench(Protocol):
     def push(self, wrench: Sequence[float]) -> None:
         """Push the end effector."""
 
-    def sag(self, sag_deg: Sequence[float]) -> None:
-        """Let weight turn the joints beyond the angles that they are commanded to hold."""
-
-    def last_pair(self, count: int) -> FloatArray:
-        """The pair of structures that was set last by value: (2, count)."""
-
 
 class PythonBench:
     def __init__(self, model: str, cold: bool = False) -> None:
@@ -64,21 +57,6 @@ class PythonBench:
 
     def push(self, wrench: Sequence[float]) -> None:
         self.double.push(wrench)
-
-    def sag(self, sag_deg: Sequence[float]) -> None:
-        self.double.sag(sag_deg)
-
-    def last_pair(self, count: int) -> FloatArray:
-        admittance = self.double._arm.admittance
-        pairs = {
-            6: [(admittance.force_min, admittance.force_max), (admittance.inertia, admittance.damping)],
-            7: [(admittance.torque_min, admittance.torque_max), (admittance.joint_inertia, admittance.joint_damping)],
-        }
-        # what was set by the tests is distinguished from the defaults by its first value
-        for first, second in pairs[count]:
-            if first[0] == 1.5:
-                return np.array([np.resize(first, count), np.resize(second, count)])
-        raise AssertionError("nothing was set")
 
 
 @functools.cache
@@ -116,14 +94,6 @@ class CBench:
 
     def push(self, wrench: Sequence[float]) -> None:
         self.own.double_push((ctypes.c_double * 6)(*wrench))
-
-    def sag(self, sag_deg: Sequence[float]) -> None:
-        self.own.double_sag((ctypes.c_double * 7)(*sag_deg))
-
-    def last_pair(self, count: int) -> FloatArray:
-        values = (ctypes.c_float * 14)()
-        self.own.double_last_pair(values)
-        return np.array(values[: 2 * count]).reshape(2, count)
 
     def sizeof(self, name: str) -> int:
         return int(self.own.double_sizeof(name.encode()))

@@ -130,14 +130,12 @@ static struct {
     const char *name;
     const Joint *chain;
     const double *home;
-    double q[7], rates[7], fingers[3], wrench[6], sag[7];
+    double q[7], rates[7], fingers[3], wrench[6];
     double frames[8][16];
     TrajectoryPoint fifo[FIFO_SIZE];
-    int first, count, delaying;
-    double delay_left;
-    int initialized, control, cold, angular, force_control, homing, opening, fingers_ready;
+    int first, count;
+    int initialized, control, cold, homing, opening, fingers_ready;
     int homed, cartesian; /* it went home since it was switched on; it takes Cartesian velocities */
-    float pair[14];
     KinovaDevice active;
     EthernetCommConfig ethernet;
 } arm;
@@ -161,14 +159,6 @@ static void rotation_zyx(double roll, double pitch, double yaw, double *r /* 3 x
     double out[9] = {cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr,
                      sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr,
                      -sp,     cp * sr,                cp * cr};
-    memcpy(r, out, sizeof out);
-}
-
-static void rotation_xyz(double x, double y, double z, double *r /* Rx Ry Rz, 3 x 3 */) {
-    double cx = cos(x), sx = sin(x), cy = cos(y), sy = sin(y), cz = cos(z), sz = sin(z);
-    double out[9] = {cy * cz,                -cy * sz,               sy,
-                     cx * sz + sx * sy * cz, cx * cz - sx * sy * sz, -sx * cy,
-                     sx * sz - cx * sy * cz, sx * cz + cx * sy * sz, cx * cy};
     memcpy(r, out, sizeof out);
 }
 
@@ -262,34 +252,6 @@ static int towards_joints(const double *target, double first, double others, dou
     return moving;
 }
 
-static int towards_pose(const TrajectoryPoint *point, double *rates) {
-    const CartesianInfo *to = &point->Position.CartesianPosition;
-    const double *hand = arm.frames[arm.joints];
-    double r[9], e[6] = {to->X - hand[3], to->Y - hand[7], to->Z - hand[11]}, turn[9];
-    rotation_xyz(to->ThetaX, to->ThetaY, to->ThetaZ, r);
-    for (int i = 0; i < 3; i++)
-        for (int k = 0; k < 3; k++) {
-            turn[3 * i + k] = 0;
-            for (int m = 0; m < 3; m++) turn[3 * i + k] += r[3 * i + m] * hand[4 * k + m];
-        }
-    double axis[3] = {turn[7] - turn[5], turn[2] - turn[6], turn[3] - turn[1]};
-    double sine = sqrt(axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2]) / 2;
-    double angle = atan2(sine, (turn[0] + turn[4] + turn[8] - 1) / 2);
-    for (int i = 0; i < 3; i++) e[3 + i] = sine > 1e-12 ? axis[i] / (2 * sine) * angle : 0;
-    double distance = sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2]);
-    if (distance < 1e-5 && angle < 1e-4) return 0;
-    double linear = point->LimitationsActive ? point->Limitations.speed[0] : .15;
-    double angular = point->LimitationsActive ? point->Limitations.speed[1] : .6;
-    double slow = fmin(1 / CYCLE, linear / fmax(distance, 1e-12));
-    double slow_turn = fmin(1 / CYCLE, angular / fmax(angle, 1e-12));
-    for (int i = 0; i < 3; i++) {
-        e[i] *= slow;
-        e[3 + i] *= slow_turn;
-    }
-    rates_of(e, rates);
-    return 1;
-}
-
 static int move_fingers(const double *target) {
     int there = 1;
     for (int i = 0; i < 3; i++) {
@@ -303,20 +265,14 @@ static int move_fingers(const double *target) {
 static void pop(void) {
     arm.first = (arm.first + 1) % FIFO_SIZE;
     arm.count--;
-    arm.delaying = 0;
 }
 
 static void follow(double *rates) {
     const TrajectoryPoint *point = &arm.fifo[arm.first];
     const UserPosition *to = &point->Position;
-    double target[7], fingers[3];
-    int done = 1, velocity = to->Type == 7 || to->Type == 8;
-    /* what is commanded to hold an angle stands beyond it by what weight turns it */
-    for (int i = 0; i < 7; i++) target[i] = to->Actuators.Actuator[i] + (velocity ? 0 : arm.sag[i]);
-    for (int i = 0; i < 3; i++) fingers[i] = to->Fingers.Finger[i];
-    if (to->Type == 2 || to->Type == 8) arm.cartesian = 0; /* until it goes home: kinova-ros issue 269 */
+    if (to->Type == 8) arm.cartesian = 0; /* until it goes home: kinova-ros issue 269 */
     if (to->Type == 8)
-        for (int i = 0; i < arm.joints; i++) rates[i] = clamp(target[i], -arm.chain[i].speed, arm.chain[i].speed);
+        for (int i = 0; i < arm.joints; i++) rates[i] = clamp(to->Actuators.Actuator[i], -arm.chain[i].speed, arm.chain[i].speed);
     else if (to->Type == 7 && arm.cartesian) { /* else ignored, without a word */
         double twist[6] = {to->CartesianPosition.X,      to->CartesianPosition.Y,      to->CartesianPosition.Z,
                            0, 0, 0};
@@ -325,25 +281,8 @@ static void follow(double *rates) {
             twist[3 + i] = hand[4 * i] * to->CartesianPosition.ThetaX + hand[4 * i + 1] * to->CartesianPosition.ThetaY +
                            hand[4 * i + 2] * to->CartesianPosition.ThetaZ;
         rates_of(twist, rates);
-    } else if (to->Type == 2) {
-        double first = point->LimitationsActive ? point->Limitations.speed[0] : 1e9;
-        double others = point->LimitationsActive ? point->Limitations.speed[1] : 1e9;
-        done = !towards_joints(target, first, others, rates);
-    } else if (to->Type == 1 && arm.homed)
-        done = !towards_pose(point, rates);
-    else if (to->Type == 12) {
-        arm.delay_left = (arm.delaying ? arm.delay_left : to->Delay) - CYCLE;
-        arm.delaying = 1;
-        done = arm.delay_left <= 1e-9;
     }
-    if (to->HandMode == 1)
-        done &= move_fingers(fingers);
-    else if (to->HandMode == 2)
-        for (int i = 0; i < 3; i++) {
-            double step = clamp(fingers[i], -FINGER_SPEED, FINGER_SPEED) * CYCLE;
-            arm.fingers[i] = clamp(arm.fingers[i] + step, 0, FINGER_CLOSED);
-        }
-    if (velocity || done) pop();
+    pop();
 }
 
 static void cycle(void) {
@@ -442,10 +381,6 @@ void double_inject(const char *name, int code, int times) {
 }
 
 void double_push(const double *wrench) { memcpy(arm.wrench, wrench, sizeof arm.wrench); }
-
-void double_sag(const double *sag) { memcpy(arm.sag, sag, sizeof arm.sag); }
-
-void double_last_pair(float *out) { memcpy(out, arm.pair, sizeof arm.pair); }
 
 void double_active_serial(char *out) { memcpy(out, arm.active.SerialNumber, 20); }
 
@@ -564,24 +499,6 @@ int VENDOR(StopControlAPI)(void) {
     return OK;
 }
 
-int VENDOR(SetAngularControl)(void) {
-    ENTER(SetAngularControl);
-    arm.angular = 1;
-    return OK;
-}
-
-int VENDOR(SetCartesianControl)(void) {
-    ENTER(SetCartesianControl);
-    arm.angular = 0;
-    return OK;
-}
-
-int VENDOR(GetControlType)(int *out) {
-    ENTER(GetControlType);
-    *out = arm.angular;
-    return OK;
-}
-
 int VENDOR(SetFrameType)(int frame) {
     ENTER(SetFrameType);
     return frame ? INVALID : OK;
@@ -589,7 +506,7 @@ int VENDOR(SetFrameType)(int frame) {
 
 static int queue(const TrajectoryPoint *point) {
     int type = point->Position.Type;
-    if (type != 0 && type != 1 && type != 2 && type != 7 && type != 8 && type != 12) return INVALID;
+    if (type != 7 && type != 8) return INVALID;
     if (!arm.control) return OK;
     if (arm.count == FIFO_SIZE) return NACK;
     arm.homing = arm.opening = 0;
@@ -599,18 +516,12 @@ static int queue(const TrajectoryPoint *point) {
 
 int VENDOR(SendBasicTrajectory)(TrajectoryPoint point) {
     ENTER(SendBasicTrajectory);
-    point.LimitationsActive = 0;
-    return queue(&point);
-}
-
-int VENDOR(SendAdvanceTrajectory)(TrajectoryPoint point) {
-    ENTER(SendAdvanceTrajectory);
     return queue(&point);
 }
 
 int VENDOR(EraseAllTrajectories)(void) {
     ENTER(EraseAllTrajectories);
-    arm.count = arm.delaying = arm.homing = arm.opening = 0;
+    arm.count = arm.homing = arm.opening = 0;
     return OK;
 }
 
@@ -619,15 +530,6 @@ int VENDOR(GetGlobalTrajectoryInfo)(TrajectoryFIFO *out) {
     out->TrajectoryCount = (unsigned)arm.count;
     out->UsedPercentage = 100.f * (float)arm.count / FIFO_SIZE;
     out->MaxSize = FIFO_SIZE;
-    return OK;
-}
-
-int VENDOR(GetActualTrajectoryInfo)(TrajectoryPoint *out) {
-    ENTER(GetActualTrajectoryInfo);
-    if (arm.count)
-        *out = arm.fifo[arm.first];
-    else
-        memset(out, 0, sizeof *out);
     return OK;
 }
 
@@ -645,7 +547,7 @@ int VENDOR(GetJoystickValue)(JoystickCommand *out) {
 
 int VENDOR(MoveHome)(void) {
     ENTER(MoveHome);
-    arm.count = arm.delaying = arm.opening = 0;
+    arm.count = arm.opening = 0;
     arm.homing = 1;
     return OK;
 }
@@ -690,15 +592,6 @@ static void write_wrench(CartesianInfo *out) {
 int VENDOR(GetAngularPosition)(AngularPosition *out) {
     ENTER(GetAngularPosition);
     write_joints(out, arm.q);
-    write_fingers(&out->Fingers);
-    return OK;
-}
-
-int VENDOR(GetAngularCommand)(AngularPosition *out) {
-    double held[7];
-    ENTER(GetAngularCommand);
-    for (int i = 0; i < arm.joints; i++) held[i] = arm.q[i] - arm.sag[i];
-    write_joints(out, held);
     write_fingers(&out->Fingers);
     return OK;
 }
@@ -804,7 +697,7 @@ int VENDOR(GetQuickStatus)(QuickStatus *out) {
     memset(out, 0, sizeof *out);
     memset(out->FingerStatus, arm.fingers_ready, 3);
     out->ControlEnableStatus = !arm.control;
-    out->ForceControlStatus = !arm.force_control;
+    out->ForceControlStatus = 1;
     out->TorqueSensorsStatus = 1;
     int away = 0;
     for (int i = 0; i < arm.joints; i++) away |= fabs(arm.q[i] - arm.home[i]) >= .5;
@@ -814,54 +707,9 @@ int VENDOR(GetQuickStatus)(QuickStatus *out) {
 
 /* Force ----------------------------------------------------------------------------------------------------------- */
 
-int VENDOR(StartForceControl)(void) {
-    ENTER(StartForceControl);
-    arm.force_control = 1;
-    return OK;
-}
-
 int VENDOR(StopForceControl)(void) {
     ENTER(StopForceControl);
-    arm.force_control = 0;
     return OK;
-}
-
-static int keep_cartesian(CartesianInfo first, CartesianInfo second) {
-    memcpy(arm.pair, &first, sizeof first);
-    memcpy(arm.pair + 6, &second, sizeof second);
-    return OK;
-}
-
-static int keep_angular(AngularInfo first, AngularInfo second) {
-    memcpy(arm.pair, &first, sizeof first);
-    memcpy(arm.pair + 7, &second, sizeof second);
-    return OK;
-}
-
-int VENDOR(SetCartesianForceMinMax)(CartesianInfo least, CartesianInfo most) {
-    ENTER(SetCartesianForceMinMax);
-    return keep_cartesian(least, most);
-}
-
-int VENDOR(SetCartesianInertiaDamping)(CartesianInfo inertia, CartesianInfo damping) {
-    ENTER(SetCartesianInertiaDamping);
-    return keep_cartesian(inertia, damping);
-}
-
-int VENDOR(SetAngularTorqueMinMax)(AngularInfo least, AngularInfo most) {
-    ENTER(SetAngularTorqueMinMax);
-    return keep_angular(least, most);
-}
-
-int VENDOR(SetAngularInertiaDamping)(AngularInfo inertia, AngularInfo damping) {
-    ENTER(SetAngularInertiaDamping);
-    return keep_angular(inertia, damping);
-}
-
-int VENDOR(SetTorqueZero)(int address) {
-    ENTER(SetTorqueZero);
-    /* 22 to 24 are the fingers: a seventh joint is behind them */
-    return (address >= 16 && address <= 21) || (address == 25 && arm.joints == 7) ? OK : INVALID;
 }
 
 static ZoneList zones; /* kept, and here not obeyed: no motion by joints keeps to them */

@@ -253,13 +253,7 @@ def test_it_comes_up_in_the_order_of_the_vendors_driver_and_lets_go_erasing_firs
 
 
 @pytest.mark.parametrize(
-    "ask",
-    [
-        lambda arm: arm.set_velocity(TURN),
-        lambda arm: arm.set_velocity(jaco.CartesianVelocity((0.0, 0.0, 0.02))),
-        lambda arm: arm.move_to(jaco.JointTarget(tuple(J2N6S300.home_deg + 5.0))),
-        lambda arm: arm.move_fingers((1000.0,) * 3),
-    ],
+    "ask", [lambda arm: arm.set_velocity(TURN), lambda arm: arm.set_velocity(jaco.CartesianVelocity((0.0, 0.0, 0.02)))]
 )
 def test_an_arm_that_was_not_homed_since_it_was_switched_on_says_so_before_it_moves(
     ask: Callable[[jaco.Jaco], object],
@@ -271,7 +265,6 @@ def test_an_arm_that_was_not_homed_since_it_was_switched_on_says_so_before_it_mo
             ask(lab.arm)
         lab.run(0.1)
         assert lab.recorded.points() == []
-        assert lab.recorded.times("SendAdvanceTrajectory") == []
 
 
 def test_an_arm_that_is_homed_by_its_joystick_may_move_then() -> None:
@@ -293,7 +286,7 @@ def test_who_knows_better_may_move_it_all_the_same() -> None:
 
 def test_a_cartesian_velocity_moves_the_arm_after_angular_motion_too(simulated: jaco.Jaco) -> None:
     """The arm's own Cartesian velocities would silently fail then: kinova-ros issue 269."""
-    simulated.move_to(jaco.JointTarget(tuple(J2N6S300.home_deg + 5.0)))
+    hold(simulated, jaco.JointVelocity((5.0,) * 6), 1.0)
     before = simulated.next(1.0).T_base_end_effector
     hold(simulated, jaco.CartesianVelocity((0.02, -0.01, 0.03), (0.0, 0.05, 0.1)), 1.0)
     after = simulated.next(1.0).T_base_end_effector
@@ -528,8 +521,8 @@ def moving():
 """
 ENDINGS = {
     "Ctrl-C": "with arm:\n    moving()\n    time.sleep(60)",
-    "Ctrl-C on the way to a target": (
-        "with arm:\n    moving(); arm.stop()\n    arm.move_to(JointTarget((100.0, 180, 180, 180, 180, 180)), 60.0)"
+    "Ctrl-C on the way home": (
+        "with arm:\n    moving(); arm.stop(); arm._functions.put((100.0, 180, 180, 180, 180, 180))\n    arm.home(60.0)"
     ),
     "sys.exit in a program that forgot to close": "arm.open()\nmoving()\nsys.exit(3)",
 }
@@ -610,7 +603,7 @@ def test_a_stall_longer_than_the_deadline_stops_the_arm_and_says_so(lab: Simulat
     with pytest.raises(jaco.MotionStopped, match="late"):
         lab.arm.set_velocity(TURN)
     with pytest.raises(jaco.MotionStopped, match="late"):
-        lab.arm.move_to(jaco.JointTarget(tuple(J2N6S300.home_deg)))
+        lab.arm.home()
     lab.arm.acknowledge_stop()
     lab.arm.set_velocity(TURN)
 
@@ -836,59 +829,10 @@ def test_joint_velocities_keep_the_workspace_too() -> None:
         assert BOX.contains(tuple(lab.double.T_base_end_effector[:3, 3]))
 
 
-@pytest.mark.parametrize(
-    "target",
-    [
-        jaco.JointTarget((275.0, 400.0, 57.4, 240.0, 82.7, 75.5)),
-        jaco.JointTarget((275.0, math.nan, 57.4, 240.0, 82.7, 75.5)),
-        jaco.JointTarget((275.0, 180.0, 57.4, 240.0, 82.7)),
-        jaco.JointTarget((0.0, 180.0, 180.0, 0.0, 0.0, 0.0)),
-        jaco.CartesianTarget((0.21, -0.26, 0.8), (1.62, 1.12, 0.16)),
-        jaco.CartesianTarget((0.21, math.inf, 0.5), (1.62, 1.12, 0.16)),
-    ],
-)
-def test_targets_beyond_ranges_and_workspace_are_refused_and_nothing_is_sent(
-    target: jaco.JointTarget | jaco.CartesianTarget,
-) -> None:
-    lab = Simulated(jaco.JacoConfig(workspace=BOX))
-    with lab.arm.open(own_thread=False):
-        with pytest.raises(OutOfLimits):
-            lab.arm.move_to(target)
-        assert lab.recorded.times("SendAdvanceTrajectory") == []
-
-
-def test_a_pose_that_the_arm_cannot_reach_is_refused(lab: Simulated) -> None:
-    with pytest.raises(OutOfLimits, match="reach"):
-        lab.arm.move_to(jaco.CartesianTarget((1.5, 0.0, 0.3), (1.62, 1.12, 0.16)))
-
-
-@pytest.mark.parametrize("fingers", [(0, 0, 6801), (-1, 0, 0), (math.nan, 0, 0), (0, 0)])
-def test_fingers_beyond_their_range_are_refused(lab: Simulated, fingers: tuple[float, ...]) -> None:
-    with pytest.raises(OutOfLimits):
-        lab.arm.move_fingers(fingers)
-
-
-def test_it_moves_to_joint_angles_and_waits_until_it_is_there(lab: Simulated) -> None:
-    target = J2N6S300.home_deg + np.array([10.0, -5.0, 8.0, 3.0, -10.0, 4.0])
-    began_s = lab.now_s
-    np.testing.assert_allclose(lab.arm.move_to(jaco.JointTarget(tuple(target))).joints_deg, target, atol=0.5)
-    assert 0.4 < lab.now_s - began_s < 1.0  # 10 deg at 20 deg/s
-    assert "SetAngularControl" in lab.recorded.names
-
-
-def test_it_moves_to_a_pose_at_the_configured_speed(lab: Simulated) -> None:
-    start = lab.arm.next(1.0)
-    x, y, z = start.position_m
-    began_s = lab.now_s
-    state = lab.arm.move_to(jaco.CartesianTarget((x + 0.05, y, z - 0.05), start.theta_rad))
-    np.testing.assert_allclose(state.position_m, (x + 0.05, y, z - 0.05), atol=2e-3)
-    assert 1.3 < lab.now_s - began_s < 2.0  # 71 mm at 50 mm/s
-    assert "SetCartesianControl" in lab.recorded.names
-
-
-def test_a_target_that_is_not_reached_in_time_stops_the_arm(lab: Simulated) -> None:
-    with pytest.raises(jaco.NotReached, match=r"0\.5 s"):
-        lab.arm.move_to(jaco.JointTarget(tuple(J2N6S300.home_deg + 30.0)), timeout_s=0.5)
+def test_a_home_that_is_not_reached_in_time_stops_the_arm(lab: Simulated) -> None:
+    lab.double.put(J2N6S300.home_deg - 40.0)
+    with pytest.raises(jaco.NotReached, match=r"1\.5 s"):
+        lab.arm.home(timeout_s=1.5)
     stopped = lab.double.joints_deg
     lab.run(0.5)
     np.testing.assert_array_equal(lab.double.joints_deg, stopped)
@@ -896,7 +840,7 @@ def test_a_target_that_is_not_reached_in_time_stops_the_arm(lab: Simulated) -> N
 
 
 def test_a_move_whose_caller_vanished_is_stopped_by_the_cycle(lab: Simulated) -> None:
-    lab.arm._position_until_ns = lab.clock() + 100_000_000  # as if the thread that waits had died
+    lab.arm._homing_until_ns = lab.clock() + 100_000_000  # as if the thread that waits had died
     lab.run(0.3)
     assert "no caller waited" in lab.arm.stopped_because
 
@@ -904,14 +848,14 @@ def test_a_move_whose_caller_vanished_is_stopped_by_the_cycle(lab: Simulated) ->
 def test_one_thing_at_a_time(lab: Simulated) -> None:
     lab.arm.set_velocity(TURN, valid_for_s=5.0)
     with pytest.raises(OutOfLimits, match="moving"):
-        lab.arm.move_to(jaco.JointTarget(tuple(J2N6S300.home_deg)))
+        lab.arm.home()
     before = lab.double.joints_deg
     lab.run(0.5)
     assert lab.double.joints_deg[0] - before[0] == pytest.approx(5.0, abs=0.11)  # what went on goes on
     lab.arm.stop()
-    lab.arm.move_to(jaco.JointTarget(tuple(J2N6S300.home_deg)))
-    lab.arm._position_until_ns = lab.clock() + 100_000_000
-    with pytest.raises(OutOfLimits, match="target"):
+    lab.arm.home()
+    lab.arm._homing_until_ns = lab.clock() + 100_000_000
+    with pytest.raises(OutOfLimits, match="home"):
         lab.arm.set_velocity(TURN)
 
 
@@ -952,20 +896,20 @@ def test_a_halt_holds_against_a_sender_that_goes_on() -> None:
             arm.set_velocity(TURN)
 
 
-def test_a_halt_ends_a_move_to_a_target() -> None:
-    double = jaco.JacoDouble()
+def test_a_halt_ends_a_way_home() -> None:
+    double = jaco.JacoDouble(start_deg=J2N6S300.home_deg - 40.0)
     with jaco.Jaco(PATIENT, double) as arm:
         reported: list[BaseException] = []
 
         def mover() -> None:
             try:
-                arm.move_to(jaco.JointTarget(tuple(J2N6S300.home_deg + 40.0)))
+                arm.home()
             except jaco.MotionStopped as error:
                 reported.append(error)
 
         thread = threading.Thread(target=mover)
         thread.start()
-        wait_until(lambda: double.joints_deg[0] > J2N6S300.home_deg[0] + 1.0)
+        wait_until(lambda: double.joints_deg[0] > J2N6S300.home_deg[0] - 39.0)
         arm.halt("the force was too high")
         thread.join(5.0)
         assert "force" in str(reported[0])
@@ -983,25 +927,6 @@ def test_stop_that_does_not_reach_the_arm_is_reported(lab: Simulated) -> None:
     lab.double.plug()
 
 
-def test_fingers_close_and_hold_what_is_between_them(lab: Simulated) -> None:
-    state = lab.arm.move_fingers((3000.0, 3000.0, 3000.0))
-    np.testing.assert_allclose(state.fingers, 3000.0, atol=70.0)
-    np.testing.assert_allclose(lab.double.joints_deg, J2N6S300.home_deg, atol=1e-4)
-    lab.double.put_between_fingers((4000.0, 4200.0, 4100.0))
-    state = lab.arm.move_fingers((6800.0, 6800.0, 6800.0))
-    np.testing.assert_allclose(state.fingers, (4000.0, 4200.0, 4100.0))
-    assert lab.double.fifo_count == 0
-
-
-def test_the_arm_does_not_sink_however_often_its_fingers_move(lab: Simulated) -> None:
-    """Holding the measured angles lets it sink by its sag each time: kinova-ros `kinova_comm.cpp`, issue 67."""
-    lab.double.sag([0.0, 0.5, -0.3, 0.0, 0.0, 0.0])
-    before = lab.double.joints_deg
-    for finger in (1000.0, 2000.0, 500.0):
-        lab.arm.move_fingers((finger,) * 3)
-    np.testing.assert_allclose(lab.double.joints_deg, before, atol=1e-3)
-
-
 def test_it_goes_home(lab: Simulated) -> None:
     hold(lab.arm, jaco.JointVelocity((20.0, 10.0, 0.0, 0.0, -20.0, 0.0)), 1.0)
     np.testing.assert_allclose(lab.arm.home().joints_deg, J2N6S300.home_deg, atol=0.1)
@@ -1015,69 +940,6 @@ def test_the_rates_reported_are_those_of_the_joints_and_zero_at_rest(simulated: 
     while simulated._clock() < until_ns:
         state = simulated.next(1.0)
     np.testing.assert_allclose(state.rates_deg_s, (20.0, -15.0, 0.0, 10.0, -5.0, 0.0), atol=0.1)
-
-
-def test_admittance_is_set_up_with_pauses_and_the_arm_gives_way(lab: Simulated) -> None:
-    lab.arm.set_force_range((1.0,) * 6, (20.0,) * 6)
-    lab.arm.set_inertia_damping((1.0,) * 6, (100.0,) * 6)
-    lab.arm.start_force_control()
-    names = ("SetCartesianForceMinMax", "SetCartesianInertiaDamping", "SetCartesianControl", "StartForceControl")
-    times_s = [lab.recorded.times(name)[-1] for name in names]
-    assert np.all(np.diff(times_s) >= 0.1 - 1e-9)
-    before_m = lab.double.T_base_end_effector[:3, 3]
-    lab.double.push((5.0, 0.0, 0.0, 0.0, 0.0, 0.0))
-    lab.run(1.0)
-    assert lab.double.T_base_end_effector[0, 3] - before_m[0] == pytest.approx(0.05, abs=2e-3)
-    lab.arm.stop_force_control()
-    stopped = lab.double.joints_deg
-    lab.run(0.5)
-    np.testing.assert_allclose(lab.double.joints_deg, stopped, atol=1e-9)
-
-
-def test_joint_admittance_takes_a_value_for_each_joint(lab: Simulated) -> None:
-    lab.arm.set_joint_torque_range((0.5,) * 6, (5.0,) * 6)
-    lab.arm.set_joint_inertia_damping((0.1,) * 6, (10.0,) * 6)
-    lab.arm.start_force_control("joint")
-    assert lab.recorded.names[-2:] == ["SetAngularControl", "StartForceControl"]
-    with pytest.raises(OutOfLimits):
-        lab.arm.set_joint_torque_range((0.5,) * 7, (5.0,) * 7)
-
-
-@pytest.mark.parametrize(
-    ("least", "most"),
-    [((2.0,) * 6, (1.0,) * 6), ((-1.0,) * 6, (1.0,) * 6), ((math.nan,) * 6, (1.0,) * 6), ((1.0,) * 5, (2.0,) * 6)],
-)
-def test_force_ranges_that_make_no_sense_are_refused(
-    lab: Simulated, least: tuple[float, ...], most: tuple[float, ...]
-) -> None:
-    with pytest.raises(OutOfLimits):
-        lab.arm.set_force_range(least, most)
-    assert lab.recorded.times("SetCartesianForceMinMax") == []
-
-
-def test_the_seventh_joint_s_torque_is_zeroed_behind_the_fingers_addresses() -> None:
-    lab = Simulated(jaco.JacoConfig(), model="j2s7s300", start_deg=[180.0] * 7)
-    with lab.arm.open(own_thread=False):
-        lab.double.bias([0.5, 0.4, -0.3, 0.2, 0.1, -0.1, 0.3])
-        lab.arm.set_torque_zero()
-        zeroed = [argument for _, name, argument in lab.recorded.calls if name == "SetTorqueZero"]
-        assert zeroed == [16, 17, 18, 19, 20, 21, 25]
-        np.testing.assert_allclose(lab.arm.next(1.0).torques_nm, 0.0, atol=1e-6)
-
-
-def test_torques_are_zeroed_in_the_candle_pose_alone() -> None:
-    lab = Simulated(start_deg=[180.0] * 6)
-    with lab.arm.open(own_thread=False):
-        lab.double.bias([0.5, 0.4, -0.3, 0.2, 0.1, -0.1])
-        lab.arm.set_torque_zero()
-        assert [argument for _, name, argument in lab.recorded.calls if name == "SetTorqueZero"] == list(range(16, 22))
-        np.testing.assert_allclose(lab.arm.next(1.0).torques_nm, 0.0, atol=1e-6)
-        lab.arm.set_torque_zero(3)
-        with pytest.raises(OutOfLimits):
-            lab.arm.set_torque_zero(7)
-        hold(lab.arm, TURN, 1.0)
-        with pytest.raises(OutOfLimits, match="180"):
-            lab.arm.set_torque_zero()
 
 
 def test_a_link_lost_while_it_moves_comes_back_with_the_arm_stopped() -> None:
@@ -1102,28 +964,28 @@ def test_a_link_lost_while_it_moves_comes_back_with_the_arm_stopped() -> None:
         wait_until(lambda: double.joints_deg[0] > stopped[0] + 0.2)
 
 
-def test_a_link_lost_on_the_way_to_a_target_is_reported_at_once() -> None:
-    double = jaco.JacoDouble()
+def test_a_link_lost_on_the_way_home_is_reported_at_once() -> None:
+    double = jaco.JacoDouble(start_deg=J2N6S300.home_deg - 40.0)
     with jaco.Jaco(PATIENT, double, reconnect=QUICK) as arm:
         reported: list[BaseException] = []
 
         def mover() -> None:
             try:
-                arm.move_to(jaco.JointTarget(tuple(J2N6S300.home_deg + 40.0)), timeout_s=60.0)
+                arm.home()
             except jaco.MotionStopped as error:
                 reported.append(error)
 
         thread = threading.Thread(target=mover)
         thread.start()
-        wait_until(lambda: double.joints_deg[0] > J2N6S300.home_deg[0] + 1.0)
+        wait_until(lambda: double.joints_deg[0] > J2N6S300.home_deg[0] - 39.0)
         double.unplug()
         thread.join(10.0)
         assert "lost" in str(reported[0])
-        assert double.fifo_count == 1  # the arm itself goes on: nothing can be erased without a cable
+        assert double.rates_deg_s[0] > 0.0  # the arm itself goes on: nothing can be erased without a cable
         double.plug()
         wait_until(lambda: arm.link is Link.CONNECTED)
-        wait_until(lambda: double.fifo_count == 0)
-        assert double.joints_deg[0] < J2N6S300.home_deg[0] + 39.0
+        wait_until(lambda: not double.rates_deg_s.any())
+        assert double.joints_deg[0] < J2N6S300.home_deg[0] - 1.0
 
 
 def test_a_pacer_keeps_its_schedule_and_counts_what_it_missed() -> None:

@@ -11,13 +11,7 @@ from deformscope_drivers.jaco.chains import CHAINS, J2N6S300
 from deformscope_drivers.jaco.commands import velocity_point
 from deformscope_drivers.jaco.double import JacoDouble
 from deformscope_drivers.jaco.library import Connection, call, devices, read
-from deformscope_drivers.jaco.structures import (
-    AngularInfo,
-    AngularPosition,
-    CartesianInfo,
-    CartesianPosition,
-    TrajectoryPoint,
-)
+from deformscope_drivers.jaco.structures import AngularPosition, TrajectoryPoint
 from tests.drivers.jaco.benches import CBench, PythonBench, VendorBench
 from tests.drivers.jaco.vendor_contract import VendorContract, joints, pose, stream
 from tests.patience import PATIENCE_S
@@ -132,56 +126,6 @@ def test_a_pulled_cable_times_out_and_the_arm_goes_on(bench: PythonBench) -> Non
     bench.double.plug()
     call(bench.functions, "InitAPI")
     joints(bench)
-
-
-def test_a_pushed_arm_gives_way_when_force_control_is_on(bench: PythonBench) -> None:
-    call(bench.functions, "SetCartesianForceMinMax", CartesianInfo(1, 1, 1, 1, 1, 1), CartesianInfo(*[20.0] * 6))
-    call(bench.functions, "SetCartesianInertiaDamping", CartesianInfo(*[1.0] * 6), CartesianInfo(*[100.0] * 6))
-    before = bench.double.T_base_end_effector[:3, 3]
-    bench.push((5.0, 0.5, 0.0, 0.0, 0.0, 0.0))
-    bench.advance(1.0)
-    np.testing.assert_array_equal(bench.double.T_base_end_effector[:3, 3], before)
-    call(bench.functions, "StartForceControl")
-    bench.advance(1.0)
-    moved = bench.double.T_base_end_effector[:3, 3] - before
-    # 5 N against 100 N s/m, after a rise within 1 kg / 100 N s/m = 10 ms; 0.5 N is below the least force
-    np.testing.assert_allclose(moved, (0.05, 0.0, 0.0), atol=1.5e-3)
-    call(bench.functions, "StopForceControl")
-    stopped = bench.double.joints_deg
-    bench.advance(1.0)
-    np.testing.assert_allclose(bench.double.joints_deg, stopped, atol=1e-9)
-
-
-def test_a_velocity_adds_to_the_giving_way(bench: PythonBench) -> None:
-    call(bench.functions, "SetCartesianInertiaDamping", CartesianInfo(*[0.01] * 6), CartesianInfo(*[100.0] * 6))
-    call(bench.functions, "StartForceControl")
-    bench.push((0.0, 0.0, 2.0, 0.0, 0.0, 0.0))
-    before = bench.double.T_base_end_effector[:3, 3]
-    stream(bench, CartesianVelocity((0.03, 0.0, 0.0)), 1.0)
-    np.testing.assert_allclose(bench.double.T_base_end_effector[:3, 3] - before, (0.03, 0.0, 0.02), atol=1e-3)
-
-
-def test_joints_give_way_one_by_one_under_angular_control(bench: PythonBench) -> None:
-    call(bench.functions, "SetAngularControl")
-    call(bench.functions, "SetAngularInertiaDamping", AngularInfo(*[0.01] * 7), AngularInfo(*[20.0] * 7))
-    call(bench.functions, "StartForceControl")
-    bench.push((0.0, 5.0, 0.0, 0.0, 0.0, 0.0))
-    torque_nm = J2N6S300.jacobian(bench.double.joints_deg).T @ (0.0, 5.0, 0.0, 0.0, 0.0, 0.0)
-    before = bench.double.joints_deg
-    bench.advance(0.1)
-    moved_rad = np.radians(bench.double.joints_deg - before)
-    np.testing.assert_allclose(moved_rad, torque_nm / 20.0 * 0.1, atol=2e-3)
-    assert np.max(np.abs(moved_rad)) > 2e-3
-
-
-def test_drifted_torque_sensors_show_a_push_that_is_not_there_until_they_are_zeroed(bench: PythonBench) -> None:
-    bench.double.bias([0.5, 0.4, -0.3, 0.2, 0.1, -0.1])
-    shown = read(bench.functions, "GetCartesianForce", CartesianPosition).Coordinates
-    assert np.linalg.norm([shown.X, shown.Y, shown.Z]) > 0.5
-    for address in range(16, 22):
-        call(bench.functions, "SetTorqueZero", address)
-    shown = read(bench.functions, "GetCartesianForce", CartesianPosition).Coordinates
-    assert np.linalg.norm([shown.X, shown.Y, shown.Z]) < 1e-6
 
 
 def test_torques_hold_the_arm_up(bench: PythonBench) -> None:

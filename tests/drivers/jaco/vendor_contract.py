@@ -201,61 +201,6 @@ class VendorContract:
         assert joints(started)[1] == pytest.approx(313.0, abs=SINGLE)
         assert rates_deg_s(started)[1] == 0.0
 
-    def test_a_joint_position_is_reached_at_the_limited_speed(self, started: VendorBench) -> None:
-        target = joints(started) + np.array([10.0, -10.0, 10.0, 20.0, -20.0, 20.0, -20.0])[: started.chain.joint_count]
-        point = position_point(structures.PositionType.ANGULAR_POSITION, target, limits=(10.0, 20.0))
-        call(started.functions, "SendAdvanceTrajectory", point)
-        started.advance(0.5)
-        assert np.max(np.abs(joints(started) - target)) == pytest.approx(10.0, abs=0.3)
-        assert fifo(started).TrajectoryCount == 1
-        started.advance(0.6)
-        np.testing.assert_allclose(joints(started), target, atol=SINGLE)
-        assert fifo(started).TrajectoryCount == 0
-
-    def test_a_basic_point_carries_no_limits(self, started: VendorBench) -> None:
-        target = joints(started) + 10.0
-        point = position_point(structures.PositionType.ANGULAR_POSITION, target, limits=(1.0, 1.0))
-        call(started.functions, "SendBasicTrajectory", point)
-        started.advance(0.4)
-        np.testing.assert_allclose(joints(started), target, atol=SINGLE)
-
-    def test_a_pose_is_reached_straight_and_at_the_limited_speed(self, started: VendorBench) -> None:
-        start = pose(started)
-        theta = kinematics.euler_xyz_from_rotation(start[:3, :3])
-        goal_m = start[:3, 3] + np.array([0.06, 0.0, -0.08])
-        point = position_point(structures.PositionType.CARTESIAN_POSITION, [*goal_m, *theta], limits=(0.1, 0.5))
-        call(started.functions, "SendAdvanceTrajectory", point)
-        started.advance(0.5)
-        half_m = pose(started)[:3, 3] - start[:3, 3]
-        np.testing.assert_allclose(half_m, (0.03, 0.0, -0.04), atol=2e-3)
-        started.advance(0.6)
-        after = pose(started)
-        np.testing.assert_allclose(after[:3, 3], goal_m, atol=2e-5)
-        assert Rotation.from_matrix(after[:3, :3] @ start[:3, :3].T).magnitude() < 1e-3
-        assert fifo(started).TrajectoryCount == 0
-
-    def test_points_are_carried_out_one_after_the_other(self, started: VendorBench) -> None:
-        here = joints(started)
-        for target in (here + 2.0, here + 2.0, here):
-            point = position_point(structures.PositionType.ANGULAR_POSITION, target, limits=(10.0, 10.0))
-            call(started.functions, "SendAdvanceTrajectory", point)
-        actual = read(started.functions, "GetActualTrajectoryInfo", structures.TrajectoryPoint)
-        assert actual.Position.Actuators.Actuator1 == pytest.approx(here[0] + 2.0)
-        assert actual.Limitations.speedParameter2 == 10.0
-        started.advance(1.0)
-        np.testing.assert_allclose(joints(started), here, atol=SINGLE)
-
-    def test_a_delay_holds_up_what_follows(self, started: VendorBench) -> None:
-        wait = structures.TrajectoryPoint()
-        wait.Position.Type, wait.Position.Delay = structures.PositionType.DELAY, 0.3
-        call(started.functions, "SendBasicTrajectory", wait)
-        before = joints(started)
-        send(started, JointVelocity((10.0,) * started.chain.joint_count))
-        started.advance(0.25)
-        np.testing.assert_array_equal(joints(started), before)
-        started.advance(0.1)
-        np.testing.assert_allclose(joints(started) - before, 0.1, atol=SINGLE)
-
     def test_a_point_of_no_known_type_is_refused(self, started: VendorBench) -> None:
         point = structures.TrajectoryPoint()
         point.Position.Type = 99
@@ -272,32 +217,18 @@ class VendorContract:
         started.advance(1.0)
         np.testing.assert_allclose(joints(started), started.chain.home_deg, atol=SINGLE)
 
-    def test_holding_measured_angles_lets_it_sink_and_holding_commanded_ones_does_not(
-        self, started: VendorBench
-    ) -> None:
-        """kinova-ros: `kinova_comm.cpp`, setFingerPositions ("getAngularPosition will cause arm drop"); issue 67."""
-        sag_deg = np.array([0.0, 0.5, -0.3, 0.0, 0.0, 0.0, 0.0])[: started.chain.joint_count]
-        before = joints(started)
-        started.sag(sag_deg.tolist())
-        for name, sunk in (("GetAngularCommand", 0.0), ("GetAngularPosition", 1.0), ("GetAngularPosition", 2.0)):
-            angles = read(started.functions, name, structures.AngularPosition).Actuators
-            held = structures.actuator_values(angles, started.chain.joint_count)
-            point = position_point(structures.PositionType.ANGULAR_POSITION, list(held), limits=(10.0, 10.0))
-            call(started.functions, "SendAdvanceTrajectory", point)
-            started.advance(0.5)
-            np.testing.assert_allclose(joints(started), before + sunk * sag_deg, atol=SINGLE)
-
-    @pytest.mark.parametrize("restored", ["SetCartesianControl", "MoveHome"])
+    @pytest.mark.parametrize("homed", [False, True])
     def test_after_angular_motion_cartesian_velocities_silently_fail_until_it_goes_home(
-        self, started: VendorBench, restored: str
+        self, started: VendorBench, homed: bool
     ) -> None:
-        """kinova-ros issue 269: no error, no motion; SetCartesianControl does not help."""
+        """kinova-ros issue 269: no error, no motion."""
         stream(started, JointVelocity((10.0,) + (0.0,) * (started.chain.joint_count - 1)), seconds=0.1)
-        call(started.functions, restored)
+        if homed:
+            call(started.functions, "MoveHome")
         started.advance(1.0)
         before = pose(started)[:3, 3]
         stream(started, CartesianVelocity((0.0, 0.0, 0.03)), seconds=1.0)
-        moved_m = 0.03 if restored == "MoveHome" else 0.0
+        moved_m = 0.03 if homed else 0.0
         np.testing.assert_allclose(pose(started)[:3, 3] - before, (0.0, 0.0, moved_m), atol=1e-3)
 
     def test_after_power_up_it_must_go_home_before_it_moves_in_cartesian_space(self, cold: VendorBench) -> None:
@@ -307,10 +238,6 @@ class VendorContract:
             call(cold.functions, "StartControlAPI")
         assert retract(cold) == structures.RetractType.NOT_INITIALIZED
         before = pose(cold)
-        point = position_point(
-            structures.PositionType.CARTESIAN_POSITION, [0.2, -0.3, 0.4, 1.6, 1.1, 0.1], limits=(0.1, 0.5)
-        )
-        call(cold.functions, "SendAdvanceTrajectory", point)
         stream(cold, CartesianVelocity((0.0, 0.0, 0.03)), seconds=0.5)
         np.testing.assert_array_equal(pose(cold), before)
         stream(cold, JointVelocity((-20.0,) * cold.chain.joint_count), seconds=0.2)
@@ -322,24 +249,6 @@ class VendorContract:
         stream(cold, CartesianVelocity((0.0, 0.0, 0.03)), seconds=1.0)
         assert pose(cold)[2, 3] - before[2, 3] == pytest.approx(0.03, abs=1e-3)
         assert retract(cold) == structures.RetractType.NORMAL_STANDBY
-
-    def test_fingers_go_to_a_position_within_their_range(self, started: VendorBench) -> None:
-        point = position_point(structures.PositionType.ANGULAR_POSITION, joints(started), limits=(10.0, 10.0))
-        point.Position.HandMode = structures.HandMode.POSITION
-        point.Position.Fingers = structures.FingersPosition(3000.0, 9000.0, -5.0)
-        call(started.functions, "SendAdvanceTrajectory", point)
-        started.advance(3.0)
-        assert fingers(started) == (3000.0, 6800.0, 0.0)
-        assert fifo(started).TrajectoryCount == 0
-
-    def test_fingers_move_at_a_velocity(self, started: VendorBench) -> None:
-        for _ in range(100):
-            point = velocity_point(JointVelocity((0.0,) * started.chain.joint_count))
-            point.Position.HandMode = structures.HandMode.VELOCITY
-            point.Position.Fingers = structures.FingersPosition(1000.0, 2000.0, -100.0)
-            call(started.functions, "SendBasicTrajectory", point)
-            started.advance(CYCLE_S)
-        np.testing.assert_allclose(fingers(started), (1000.0, 2000.0, 0.0), atol=25.0)
 
     def test_fingers_open_when_they_are_initialised(self, started: VendorBench) -> None:
         assert read(started.functions, "GetQuickStatus", structures.QuickStatus).Finger1Status == 0
@@ -389,33 +298,6 @@ class VendorContract:
         np.testing.assert_allclose([both.Actuator1, both.Actuator2, both.Actuator3], torque_nm[:3], atol=1e-4)
         np.testing.assert_allclose([both.X, both.Y, both.Z, both.ThetaX, both.ThetaY, both.ThetaZ], push, atol=1e-5)
 
-    def test_pairs_of_structures_go_by_value_in_their_order(self, started: VendorBench) -> None:
-        first, second = [1.5, 2, 3, 4, 5, 6], [7.0, 8, 9, 10, 11, 12]
-        for name in ("SetCartesianForceMinMax", "SetCartesianInertiaDamping"):
-            call(started.functions, name, structures.CartesianInfo(*first), structures.CartesianInfo(*second))
-            np.testing.assert_array_equal(started.last_pair(6), [first, second])
-        count = started.chain.joint_count
-        more, most = [*first, 13.0], [*second, 14.0]
-        for name in ("SetAngularTorqueMinMax", "SetAngularInertiaDamping"):
-            call(started.functions, name, structures.AngularInfo(*more), structures.AngularInfo(*most))
-            np.testing.assert_array_equal(started.last_pair(7)[:, :count], [more[:count], most[:count]])
-
-    def test_force_control_is_switched_and_reported(self, started: VendorBench) -> None:
-        assert read(started.functions, "GetQuickStatus", structures.QuickStatus).ForceControlStatus == 1
-        call(started.functions, "StartForceControl")
-        assert read(started.functions, "GetQuickStatus", structures.QuickStatus).ForceControlStatus == 0
-        call(started.functions, "StopForceControl")
-        assert read(started.functions, "GetQuickStatus", structures.QuickStatus).ForceControlStatus == 1
-
-    def test_torques_are_zeroed_at_the_addresses_of_the_joints_alone(self, started: VendorBench) -> None:
-        """The seventh joint is at 25, behind the three fingers: kinova-ros `kinova_comm.cpp`, setZeroTorque."""
-        addresses = (16, 17, 18, 19, 20, 21, 25)[: started.chain.joint_count]
-        for address in addresses:
-            call(started.functions, "SetTorqueZero", address)
-        for address in {15, 22, 23, 24, 25, 26} - set(addresses):
-            with pytest.raises(errors.InvalidParameter):
-                call(started.functions, "SetTorqueZero", address)
-
     def test_zones_are_kept_until_they_are_erased(self, bench: VendorBench) -> None:
         call(bench.functions, "InitAPI")
         boxes = Workspace((-1.0, -0.9, -1.0), (1.0, 0.9, -0.01)), Workspace((0.2, 0.3, 0.1), (0.4, 0.5, 0.6))
@@ -438,20 +320,6 @@ def stream(bench: VendorBench, velocity: JointVelocity | CartesianVelocity, seco
     for _ in range(round(seconds / CYCLE_S)):
         send(bench, velocity)
         bench.advance(CYCLE_S)
-
-
-def position_point(
-    kind: structures.PositionType, values: FloatArray | list[float], limits: tuple[float, float]
-) -> structures.TrajectoryPoint:
-    point = structures.TrajectoryPoint()
-    point.Position.Type = kind
-    if kind is structures.PositionType.ANGULAR_POSITION:
-        point.Position.Actuators = structures.AngularInfo(*values)
-    else:
-        point.Position.CartesianPosition = structures.CartesianInfo(*values)
-    point.LimitationsActive = 1
-    point.Limitations.speedParameter1, point.Limitations.speedParameter2 = limits
-    return point
 
 
 def joints(bench: VendorBench) -> FloatArray:
