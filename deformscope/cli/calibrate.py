@@ -1,11 +1,12 @@
 """`deformscope calibrate beta|theta`: fit the model to images or to pair files, with interval and verdict."""
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from deformscope.cli.common import EXIT_LOSSES, at_terminal, fit_progress, say, show, write_file, write_json
+from deformscope.cli.common import EXIT_LOSSES, fit_progress, say, show, write_file, write_json
 from deformscope.config import BetaConfig, ThetaConfig
-from deformscope.page.fit_settings import asked_on_page
+from deformscope.config.calibrate import PushFlags
+from deformscope.page.fit_settings import set_on_a_page
 
 if TYPE_CHECKING:  # loaded once a page is there
     from deformscope.pictures.evidence import Result
@@ -15,12 +16,18 @@ if TYPE_CHECKING:  # loaded once a page is there
 
 def run(config: BetaConfig | ThetaConfig) -> int:
     """Fit, print the tables, write the requested files. Returns the command's exit status."""
-    if asked_on_page(config, at_terminal=at_terminal()):
+    if set_on_a_page(config):
         from deformscope.page.fit_command import set_on_page
 
-        with set_on_page(config, say) as (chosen, show_on_page):
+        with set_on_page(config, _read_force, say) as (chosen, show_on_page):
             return _fit(chosen, show_on_page)
     return _fit(config)
+
+
+def _read_force(push: PushFlags) -> Any:
+    from deformscope.runs.force_log import push_of
+
+    return push_of(push)
 
 
 def _fit(config: BetaConfig | ThetaConfig, show_on_page: "Callable[[Estimate, Result], None] | None" = None) -> int:

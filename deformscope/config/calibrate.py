@@ -169,9 +169,6 @@ class CalibrateOptions(RecordedOptions):
     """Stiffness of the pull to the goal positions."""
     at: flags.ShareFlag = field(default=None, kw_only=True)
     """Report the error at this value as well (`settings.at`)."""
-    adjust: bool = field(default=False, kw_only=True)
-    """With --viewer page: set region, particles and model on the page, then fit. At a terminal the page does so without
-    this flag."""
     search: OmitArgPrefixes[SearchOptions] = field(default_factory=SearchOptions, kw_only=True)
     images: OmitArgPrefixes[ImageOptions] = field(default_factory=ImageOptions, kw_only=True)
     push: OmitArgPrefixes[PushFlags] = field(default_factory=PushFlags, kw_only=True)
@@ -180,8 +177,6 @@ class CalibrateOptions(RecordedOptions):
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions, kw_only=True)
 
     def check(self) -> None:
-        if self.adjust and self.output.viewer != "page":
-            raise InputError("--viewer page with --adjust", self.output.viewer)
         for rig in self.sources:
             if rig.startswith("lab:") or Path(rig).suffix.lower() == ".toml":
                 raise InputError(

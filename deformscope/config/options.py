@@ -186,7 +186,7 @@ def either(first: str, second: str, *given: object) -> None:
         raise InputError(f"{first} or {second}", "both", "leave one out")
 
 
-LEFT_OUT = frozenset({"viewer", "overwrite", "adjust"})
+LEFT_OUT = frozenset({"viewer", "overwrite"})
 """Flags of views and output, not of the computation."""
 
 

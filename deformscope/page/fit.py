@@ -16,17 +16,17 @@ import numpy as np
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.config import BetaConfig, ThetaConfig
+from deformscope.config.calibrate import PushFlags
 from deformscope.config.options import command_line
 from deformscope.errors import InputError
 from deformscope.experiments.fit.calibration_inputs import fit_options, images_of
 from deformscope.experiments.fit.found_body import BODY
 from deformscope.page.fit_settings import COMMANDS, IN_PICTURE, images_with, settings_of
-from deformscope.page.fit_source import FitSubject, ImagesSubject, subject_of
+from deformscope.page.fit_source import FitSubject, Force, ImagesSubject, subject_of
 from deformscope.page.server.fit_messages import FitResult, FitSettings, FitState, Points
 from deformscope.page.server.messages import PageCommand, RunFit, SetFit, StopRun
 from deformscope.pictures.evidence import Result, results_png
 from deformscope.stages.fit.at_value import errors_of, simulate
-from deformscope.stages.fit.calibrate import calibrate
 from deformscope.stages.fit.estimate import Comparison, Estimate
 from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.msm.quiet import quiet_warp
@@ -56,7 +56,7 @@ class PageFit:
         self._subject, self._send = subject, send
         self._base, self._images = config, images_of(config)
         self._began = settings_of(config, self._images)
-        self._seen: tuple[object, Observation, dict[str, object]] | None = None
+        self._seen: tuple[object, Observation] | None = None
         self._sent: set[str] = set()
         self._newest = SetFit(0, 0, settings_of(config, subject.found or self._images))
         self._each_s = self._shown_s = 0.0
@@ -70,7 +70,9 @@ class PageFit:
         self.config = config
         model = fit_options(config)
         first = self._newest.settings
-        self.state = FitState(subject.kind, model.model.parameter, first, model.bounds, subject.size_px)
+        self.state = FitState(
+            *(subject.kind, model.model.parameter, first, model.bounds, subject.size_px), scale=self._images.scale_from
+        )
         self._show()
 
     def handle(self, command: PageCommand) -> None:
@@ -253,12 +255,10 @@ class PageFit:
     def _fit(self) -> None:
         """The parameter with its interval, as the command finds it; left where something else is set meanwhile."""
         try:
-            seen, _, _ = self._prepared(self.config)
-            assert self._seen is not None
             named = any(getattr(self.config.images, one) is not None for one in BODY)
             doubts = tuple(one for one in self._subject.doubts if not (named and one.code == "body-unsure"))
             options = dataclasses.replace(fit_options(self.config), doubts=doubts)
-            found = calibrate([seen], options, settings=self._seen[2], progress=self._note)
+            found = self._subject.fit(self.config, options, self._note)
             picture = results_png([Result(found.estimate, found.comparisons[-1:], ("",))])
             self._send("file", "fit.png", picture, "image/png")
             self._found = dataclasses.replace(self.config, at=None)
@@ -281,9 +281,8 @@ class PageFit:
         """The observed positions, in the model; both are reused until their settings change."""
         key = config.images, config.search.noise_px, self._subject.followed
         if self._seen is None or self._seen[0] != key:
-            seen, used = self._subject.observe(config)
-            self._seen = key, seen, dict(used)
-        _, seen, _ = self._seen
+            self._seen = key, self._subject.observe(config)
+        _, seen = self._seen
         model = fit_options(config).model
         alike = dataclasses.replace(model, beta=0.0, theta=0.0)  # a body has neither
         if self._body is None or self._body[0] != alike or self._body[1] is not seen:
@@ -319,15 +318,15 @@ def format_error(problem: Exception) -> str:
 def found_of(estimate: Estimate, command: str) -> FitResult:
     """A whole fit for a page. command: command that gives this result"""
     low, high = estimate.interval
-    words = estimate.verdict_text()
-    return FitResult(command, estimate.value, low, high, estimate.level, estimate.aee_free, words)
+    words = estimate.verdict_text(), "" if estimate.force is None else estimate.stiffness_text()
+    return FitResult(command, estimate.value, low, high, estimate.level, estimate.aee_free, *words)
 
 
 # Its process ---------------------------------------------------------------------------------------------------------
 
 
-def run_fit(config: BetaConfig | ThetaConfig, pipe: Connection) -> None:
-    """Run the fit until a `StopRun` comes, or the pipe ends.
+def run_fit(config: BetaConfig | ThetaConfig, read_force: Callable[[PushFlags], Force], pipe: Connection) -> None:
+    """Run the fit until a `StopRun` comes, or the pipe ends. read_force: as of `subject_of`
 
     The pipe gives commands of a page. It is given the messages of a `PageFit`, ("note", a step before it), and ("end",
     the last options, or an error)."""
@@ -337,7 +336,7 @@ def run_fit(config: BetaConfig | ThetaConfig, pipe: Connection) -> None:
         pipe.send(message)
 
     try:
-        fit = PageFit(config, subject_of(config, lambda words: send("note", words)), send)
+        fit = PageFit(config, subject_of(config, lambda words: send("note", words), read_force), send)
         threading.Thread(target=_dispatch, args=(pipe, fit), daemon=True).start()
         fit.run()
         outcome: BetaConfig | ThetaConfig | Exception = fit.config

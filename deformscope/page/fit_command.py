@@ -3,17 +3,17 @@
 import dataclasses
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
 
 from deformscope.config import BetaConfig, ThetaConfig
-from deformscope.errors import InputError
+from deformscope.config.calibrate import PushFlags
 from deformscope.file_io import SAMPLE_SCHEME, ending_of
 from deformscope.files.sources import RECORDING_SUFFIX, open_source
 from deformscope.page.fit_process import FitProcess
-from deformscope.page.fit_settings import COMMANDS, not_on_a_page, picture_of, settings_of
+from deformscope.page.fit_settings import COMMANDS, picture_of, settings_of
 from deformscope.page.server.fit_messages import FitSettings, FitState
 from deformscope.page.server.page_server import PageServer
 
@@ -24,19 +24,18 @@ if TYPE_CHECKING:  # loaded once the page is there
 
 @contextmanager
 def set_on_page(
-    config: BetaConfig | ThetaConfig, note: Callable[[str], None]
+    config: BetaConfig | ThetaConfig, read_force: Callable[[PushFlags], Any], note: Callable[[str], None]
 ) -> "Iterator[tuple[BetaConfig | ThetaConfig, Callable[[Estimate, Result], None]]]":
     """Set a fit on a page, until it is stopped there. Yields the chosen options, and the view of the result.
+    read_force: reads a force and its log, in another process
 
     The page is served until the process ends. Raises InputError for unreadable sources."""
-    if (reason := not_on_a_page(config)) is not None:
-        raise InputError("images, or one pair file, for the settings of a page", reason, "leave out --adjust")
-    config = dataclasses.replace(config, adjust=False, output=dataclasses.replace(config.output, viewer="none"))
+    config = dataclasses.replace(config, output=dataclasses.replace(config.output, viewer="none"))
     page = PageServer(" ".join(config.sources), adjusting=True)
     page.open()
     note(page.where)
     try:
-        chosen, last = _set(config, page, note)
+        chosen, last = _set(config, read_force, page, note)
         page.session.enter("adjusting", commands=(), reason="the whole fit uses these settings")
 
         def show(estimate: "Estimate", shown: "Result") -> None:
@@ -56,7 +55,10 @@ def set_on_page(
 
 
 def _set(
-    config: BetaConfig | ThetaConfig, page: PageServer, note: Callable[[str], None]
+    config: BetaConfig | ThetaConfig,
+    read_force: Callable[[PushFlags], Any],
+    page: PageServer,
+    note: Callable[[str], None],
 ) -> tuple[BetaConfig | ThetaConfig, FitState]:
     """The chosen options, and the last picture."""
 
@@ -65,7 +67,7 @@ def _set(
             page.session.enter("adjusting", commands=fit.commands, fit=fit.state)
 
     began = _first_frame(config, page)
-    fit = FitProcess(config, began, page, changed)
+    fit = FitProcess(config, read_force, began, page, changed)
     try:
         page.session.bind(fit.start())
         if began.pictures:  # it can be drawn on until the process is there
@@ -89,5 +91,6 @@ def _first_frame(config: BetaConfig | ThetaConfig, page: PageServer) -> FitState
     with open_source(config.sources, stride=images.stride, fps=images.fps, mask=images.mask) as source:
         image = next(iter(source)).image
     page.offer("rest.jpg", picture_of(image), "image/jpeg")
-    size, pictures = (float(image.shape[1]), float(image.shape[0])), ("rest.jpg", "rest.jpg")
-    return msgspec.structs.replace(began, settings=settings_of(config, images), size_px=size, pictures=pictures)
+    shown: dict[str, Any] = {"pictures": ("rest.jpg", "rest.jpg"), "scale": images.scale_from}
+    size = float(image.shape[1]), float(image.shape[0])
+    return msgspec.structs.replace(began, settings=settings_of(config, images), size_px=size, **shown)

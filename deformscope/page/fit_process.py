@@ -10,6 +10,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from deformscope.config import BetaConfig, ThetaConfig
+from deformscope.config.calibrate import PushFlags
 from deformscope.page.server.fit_messages import FitState
 from deformscope.page.server.messages import FitDrawn, Outcome, PageCommand, StopRun
 from deformscope.page.server.page_server import PageServer
@@ -23,18 +24,20 @@ MOST_CHANGES = 1000
 class FitProcess:
     """`PageRun` of a fit, and its process.
 
-    config: the command's options, with which it begins; state: the state that was shown last; commands: commands that
-    are possible then; changed: called with the state after every change, in the thread that receives from the process
+    config: the command's options, with which it begins; read_force: reads the force of these, and its log, in the
+    process; state: the state that was shown last; commands: commands that are possible then; changed: called with the
+    state after every change, in the thread that receives from the process
     drawn_ms: time from a change on the page until the page has drawn it [ms]"""
 
     def __init__(
         self,
         config: BetaConfig | ThetaConfig,
+        read_force: Callable[[PushFlags], Any],
         state: FitState,
         page: PageServer,
         changed: "Callable[[FitProcess], None]",
     ) -> None:
-        self._target = partial(_fit, config)
+        self._target = partial(_fit, config, read_force)
         self._page, self._changed = page, changed
         self.state = state
         self.commands: tuple[str, ...] = ()
@@ -121,8 +124,8 @@ class FitProcess:
                 self._changed(self)
 
 
-def _fit(config: BetaConfig | ThetaConfig, pipe: Connection) -> None:
+def _fit(config: BetaConfig | ThetaConfig, read_force: Callable[[PushFlags], Any], pipe: Connection) -> None:
     """In the process, which alone loads the simulation."""
     from deformscope.page.fit import run_fit
 
-    run_fit(config, pipe)
+    run_fit(config, read_force, pipe)

@@ -57,18 +57,8 @@ def picture_of(image: npt.NDArray[Any]) -> bytes:
     return encode_jpeg(image)
 
 
-def not_on_a_page(config: BetaConfig | ThetaConfig) -> str | None:
-    """The reason against a fit on a page; None = none."""
+def set_on_a_page(config: BetaConfig | ThetaConfig) -> bool:
+    """Whether the fit's settings are made on its page: of images or one pair, without layers or the whole motion."""
     pairs = [source for source in config.sources if ending_of(source) == ".npz"]
-    if pairs and len(config.sources) > 1:
-        return f"{len(config.sources)} files"
-    if isinstance(config, BetaConfig) and (config.has_layers or config.motion.whole_motion):
-        return "--thickness-m or --whole-motion"
-    return None
-
-
-def asked_on_page(config: BetaConfig | ThetaConfig, *, at_terminal: bool) -> bool:
-    """Whether the fit's settings are made on a page: if a person is at a terminal, or if it is requested."""
-    if config.output.viewer != "page":
-        return False
-    return config.adjust or (at_terminal and not_on_a_page(config) is None)
+    more = isinstance(config, BetaConfig) and (config.has_layers or config.motion.whole_motion)
+    return config.output.viewer == "page" and not more and not (pairs and len(config.sources) > 1)

@@ -1,28 +1,40 @@
 """Input of a fit on a page: images whose particles are set there, or a fixed pair."""
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.config import BetaConfig, ImageOptions, ThetaConfig
+from deformscope.config.calibrate import PushFlags
 from deformscope.errors import InputError
-from deformscope.experiments.fit.calibration_inputs import images_of, mask_of, opened_images, particle_options, thinned
-from deformscope.experiments.fit.foam_video import last_pose
+from deformscope.experiments.fit.calibration_inputs import (
+    images_of,
+    mask_of,
+    on_one_clock,
+    opened_images,
+    particle_options,
+    thinned,
+)
+from deformscope.experiments.fit.foam_video import ParticleOptions, fit_pose, last_pose
 from deformscope.experiments.fit.found_body import found_in
+from deformscope.experiments.fit.push_force import PushOptions
 from deformscope.file_io import SAMPLE_SCHEME, ending_of, read_file
 from deformscope.files.pairs import parse_pair
 from deformscope.files.sources import Source
 from deformscope.page.fit_settings import picture_of
+from deformscope.stages.fit.calibrate import Calibration, FitOptions, Progress, calibrate
 from deformscope.stages.fit.estimate import Doubt
 from deformscope.stages.fit.model import Observation
+from deformscope.stages.materials.press_cycle import PressForce
 from deformscope.stages.see.flow import FlowField, FlowStep, flow_onward
 from deformscope.stages.see.follow import Follower
 from deformscope.stages.see.particles import ParticleGrid, Tracked, advance, clean_mask, seed_grid, select_held, start
 
 Doubts = tuple[Doubt, ...]
+Force = tuple[PushOptions | None, PressForce | None]
 MOST_BYTES = 2 << 30
 """Memory limit of the frames and of the stored flow."""
 
@@ -36,6 +48,7 @@ class ImagesSubject:
     """A sequence in which particles are followed, a frame at a time. size_px: width, height of its images
 
     found: options with the body that was found in the images, if none was named; doubts: whether the images suit a fit
+    force: the force on the contact, and its log
     count: number of frames; followed: frames through which the particles were followed so far, the one at rest
     included; frames are taken as they are needed. In small images the particles of any grid follow a stored flow in
     milliseconds; in large ones they are followed from the beginning."""
@@ -43,11 +56,17 @@ class ImagesSubject:
     kind: Literal["images"] = "images"
 
     def __init__(
-        self, source: Source, frames_of: int | None = None, found: ImageOptions | None = None, doubts: Doubts = ()
+        self,
+        source: Source,
+        frames_of: int | None = None,
+        found: ImageOptions | None = None,
+        doubts: Doubts = (),
+        force: Force = (None, None),
     ) -> None:
-        self.found, self.doubts = found, doubts
+        self.found, self.doubts, self._force = found, doubts, force
         self._frames, self._frames_of = iter(source), frames_of
-        self._images = [next(self._frames).image]
+        first = next(self._frames)
+        self._images, self._times_ns = [first.image], [first.stamp.host_ns]
         self._flows: list[tuple[FlowField, FlowField]] = []
         self._last: FlowStep | None = None
         self._kept_bytes = 0
@@ -97,6 +116,7 @@ class ImagesSubject:
                     raise InputError("at least two frames", "fewer", "a longer sequence, or a smaller --stride")
                 return
             self._images.append(frame.image)
+            self._times_ns.append(frame.stamp.host_ns)
             self._kept_bytes += frame.image.nbytes
         before, after = self._images[done - 1 : done + 1]
         if self._follower.is_large:
@@ -115,12 +135,19 @@ class ImagesSubject:
             self.goes_on = False
             raise InputError(f"frames and flow of at most {MOST_BYTES >> 30} GiB", came, "a larger --stride")
 
-    def observe(self, config: BetaConfig | ThetaConfig) -> tuple[Observation, Mapping[str, object]]:
-        """The newest pose with these options, once a frame was followed, and a fit's record of it. Raises InputError
-        without particles."""
-        grid, _ = self.place(config)
+    def observe(self, config: BetaConfig | ThetaConfig) -> Observation:
+        """The newest pose with these options, once a frame was followed. Raises InputError without particles."""
+        return last_pose(self.place(config)[0], self._history, self._particles(config))[0]
+
+    def fit(self, config: BetaConfig | ThetaConfig, options: FitOptions, progress: Progress) -> Calibration:
+        """The whole fit of that pose, with its force. Raises InputError."""
+        times = [1e-9 * (one - self._times_ns[0]) for one in self._times_ns[: self.followed]]
+        pose = self.place(config)[0], self._history, times, self._particles(config)
+        return fit_pose(*pose, options, progress, *self._force)
+
+    def _particles(self, config: BetaConfig | ThetaConfig) -> ParticleOptions:
         particles = particle_options(images_of(config), config.search.noise_px)
-        return last_pose(grid, self._history, dataclasses.replace(particles, frames_of=self._frames_of))
+        return dataclasses.replace(particles, frames_of=self._frames_of)
 
     def in_picture(self, position: FloatArray) -> FloatArray:
         """(K, d) positions of an observation as (K, 2) x, y [px]."""
@@ -145,9 +172,13 @@ class PairSubject:
         width, height = size * self._scale + 2 * RIM_PX
         self.size_px = float(width), float(height)
 
-    def observe(self, config: BetaConfig | ThetaConfig) -> tuple[Observation, Mapping[str, object]]:
+    def observe(self, config: BetaConfig | ThetaConfig) -> Observation:
         """See `ImagesSubject.observe`."""
-        return self._seen, {}
+        return self._seen
+
+    def fit(self, config: BetaConfig | ThetaConfig, options: FitOptions, progress: Progress) -> Calibration:
+        """See `ImagesSubject.fit`."""
+        return calibrate([self._seen], options, progress=progress)
 
     def in_picture(self, position: FloatArray) -> FloatArray:
         """(K, 2) [px] of (K, d) positions, as `ImagesSubject.in_picture`."""
@@ -157,10 +188,14 @@ class PairSubject:
 FitSubject = ImagesSubject | PairSubject
 
 
-def subject_of(config: BetaConfig | ThetaConfig, note: Callable[[str], None]) -> FitSubject:
-    """The subject in the files that a command's options name. note: the present step, as text"""
+def subject_of(
+    config: BetaConfig | ThetaConfig, note: Callable[[str], None], read_force: Callable[[PushFlags], Force]
+) -> FitSubject:
+    """The subject in the files that a command's options name. note: the present step, as text; read_force: reads the
+    options' force"""
     if ending_of(config.sources[0]) == ".npz":
         return PairSubject(config)
+    push, log = read_force(config.push)
     images = images_of(config)
     found, doubts = images, Doubts()
     if (images.roi is None and images.mask is None) or not config.sources[0].startswith(SAMPLE_SCHEME):
@@ -168,6 +203,8 @@ def subject_of(config: BetaConfig | ThetaConfig, note: Callable[[str], None]) ->
             if config.push.force_frame is not None:
                 source.end_at(config.push.force_frame)
             found, _, doubts = found_in(source, images, note)
-    source = opened_images(config.sources, images).__enter__()  # read until it ends, or this process does
+    timed = log is not None
+    source = opened_images(config.sources, images, timed=timed).__enter__()  # read until it ends, or this process does
     frames_of = thinned(source, particle_options(images), config, note).frames_of
-    return ImagesSubject(source, frames_of, found if found != images else None, doubts)
+    force = on_one_clock(source, config, push, log)
+    return ImagesSubject(source, frames_of, found if found != images else None, doubts, force)

@@ -1,6 +1,7 @@
 """Where the body, what holds it and what pushes it are in the first image, as one picture."""
 
 import textwrap
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -8,11 +9,12 @@ from deformscope.arrays import ImageArray
 from deformscope.pictures.figures import COLOURS, canvas, png_of
 from deformscope.stages.see.find_body import FoundBody
 
-OUTLINE, CONTACT, HELD, TOOL = COLOURS[2], COLOURS[3], COLOURS[4], COLOURS[1]
+OUTLINE, CONTACT, HELD, TOOL, SCALE = COLOURS[2], COLOURS[3], COLOURS[4], COLOURS[1], COLOURS[0]
 
 
-def found_png(image: ImageArray, found: FoundBody, text: str) -> bytes:
-    """The first image (H, W[, 3]) with outline, held sides, contact, tool, and the background's motion as arrows."""
+def found_png(image: ImageArray, found: FoundBody, text: str, scale: Sequence[float] | None = None) -> bytes:
+    """The first image (H, W[, 3]) with outline, held sides, contact, tool, and the background's motion as arrows.
+    scale: x, y of two places [px], and their distance [m]"""
     height, width = image.shape[:2]
     figure = canvas(8.0, 8.0 * height / width + 1.5, layout="constrained")
     axes = figure.subplots()
@@ -30,6 +32,8 @@ def found_png(image: ImageArray, found: FoundBody, text: str) -> bytes:
     if (one := found.contact) is not None:
         x, y = one.x + np.array([0, 1, 1, 0, 0]) * one.width, one.y + np.array([0, 0, 1, 1, 0]) * one.height
         axes.plot(x, y, color=CONTACT, lw=1.5, label="contact")
+    if scale is not None:
+        axes.plot(scale[:4:2], scale[1:4:2], "|-", color=SCALE, lw=2, label=f"{1e3 * scale[4]:.4g} mm")
     if len(found.background):
         at = np.stack(np.meshgrid(*(np.linspace(0.06, 0.94, 6) * side for side in (width, height))), axis=-1).reshape(
             -1, 2

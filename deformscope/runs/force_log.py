@@ -9,8 +9,9 @@ import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.config.calibrate import PushFlags
-from deformscope.config.flags import FORCE_UNITS
+from deformscope.config.flags import FORCE_UNITS, force_n
 from deformscope.errors import InputError
+from deformscope.experiments.fit.push_force import PushOptions
 from deformscope.file_io import resolve
 from deformscope.frames import InputFile, WrenchFrame
 from deformscope.imports.frame_builder import SI, TIME_NS
@@ -28,6 +29,15 @@ FORCE_FILE = "force"
 FREE_SHARE = 0.05
 """Number of a force sensor's first readings that give its zero."""
 UNITS = {name: factor for name, (of, factor) in SI.items() if of == "N"} | FORCE_UNITS
+
+
+def push_of(flags: PushFlags) -> tuple[PushOptions | None, PressForce | None]:
+    """The force of the options, and its log."""
+    if flags.force is None:
+        return None, None
+    known = {one: force_n(text) for one, text in (("force_n", flags.force), ("force_sd_n", flags.force_sd)) if text}
+    push = PushOptions(**flags.shared(PushOptions) | known)
+    return push, read_force(flags) if push.force_n is None else None
 
 
 def read_force(push: PushFlags) -> PressForce:

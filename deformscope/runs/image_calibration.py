@@ -10,10 +10,15 @@ import numpy as np
 
 from deformscope.arrays import ImageArray
 from deformscope.config import BetaConfig, ImageOptions, OutputOptions, ThetaConfig
-from deformscope.config.calibrate import PushFlags
-from deformscope.config.flags import Selectable, force_n
+from deformscope.config.flags import Selectable
 from deformscope.errors import InputError
-from deformscope.experiments.fit.calibration_inputs import mask_of, opened_images, particle_options, thinned
+from deformscope.experiments.fit.calibration_inputs import (
+    mask_of,
+    on_one_clock,
+    opened_images,
+    particle_options,
+    thinned,
+)
 from deformscope.experiments.fit.foam_video import ParticleOptions, foam_video
 from deformscope.experiments.fit.found_body import Draw, found_in
 from deformscope.experiments.fit.push_force import PushOptions
@@ -27,7 +32,7 @@ from deformscope.pictures.evidence import Result
 from deformscope.pictures.found_body import found_png
 from deformscope.recording.recorder import Recorder
 from deformscope.runs.calibration_result import CalibrationResult
-from deformscope.runs.force_log import force_file, read_force
+from deformscope.runs.force_log import force_file, push_of
 from deformscope.runs.result import Note, open_recorder
 from deformscope.session import run
 from deformscope.stages.fit.calibrate import FitOptions
@@ -49,7 +54,7 @@ def calibrate_images(
 ) -> CalibrationResult:
     """Fit a sequence of files, or of the given images (H, W[, 3]), and record it on request. images: how they become
     particles; select: as in `run_images`"""
-    push, log = _push_of(config.push)
+    push, log = push_of(config.push)
     sources = config.sources
     timed = log is not None or (select is not None and not {"alpha", "dt"}.isdisjoint(select))
     if given and timed and images.fps is None:
@@ -63,7 +68,7 @@ def calibrate_images(
         with opened() as source:
             if config.push.force_frame is not None:
                 source.end_at(config.push.force_frame)
-            images, found, doubts = found_in(source, images, note, _drawn_to(config.summary.setup_picture))
+            images, found, doubts = found_in(source, images, note, _drawn_to(config.summary.setup_picture, images))
         fit = dataclasses.replace(fit, doubts=doubts, found=found)
     particles = particle_options(images, config.search.noise_px)
     masked = images.mask is not None or images.outline is not None
@@ -72,31 +77,20 @@ def calibrate_images(
     settings |= {"outline": list(images.outline)} if images.outline is not None else {}
     with opened() as source:
         settings["timed"] = source.timed
-        if log is not None and push is not None and str(sources[0]) == config.push.force:  # of one clock
-            log = dataclasses.replace(log, time_s=log.time_s - 1e-9 * source.began_ns)
-            push = dataclasses.replace(push, force_offset_s=push.force_offset_s or 0.0)
+        push, log = on_one_clock(source, config, push, log)
         mask = mask_of(sources, images, source.size)
         particles = thinned(source, particles, config, note, every=select is not None)
         return run_images(source, mask, fit, particles, settings, config.output, select, progress, push, log)
 
 
-def _push_of(flags: PushFlags) -> tuple[PushOptions | None, PressForce | None]:
-    """The force of the options, and its log."""
-    if flags.force is None:
-        return None, None
-    known = {one: force_n(text) for one, text in (("force_n", flags.force), ("force_sd_n", flags.force_sd)) if text}
-    push = PushOptions(**flags.shared(PushOptions) | known)
-    return push, read_force(flags) if push.force_n is None else None
-
-
-def _drawn_to(path: Path | None) -> Draw | None:
+def _drawn_to(path: Path | None, images: ImageOptions) -> Draw | None:
     """Draws what is fitted of the images to a file, if there is one."""
     if path is None:
         return None
 
     def draw(image: ImageArray, body: FoundBody, text: str) -> None:
         with replacing(path) as file:
-            file.write(found_png(image, body, text))
+            file.write(found_png(image, body, text, images.scale_from))
 
     return draw
 

@@ -392,8 +392,13 @@ def test_the_setup_is_drawn_on_the_first_image(
     named: list[str], pressed: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     drawn = tmp_path / "setup.png"
-    run_json(["calibrate", "beta", str(pressed), "--grid", "6x5", *named, "--setup-picture", str(drawn)], capsys)
+    known = ["--scale-from", "60,330,420,330=90mm"]
+    run_json(
+        ["calibrate", "beta", str(pressed), "--grid", "6x5", *known, *named, "--setup-picture", str(drawn)], capsys
+    )
     picture = cv2.imread(str(drawn)).astype(int)
+    blue = np.abs(picture - (178, 114, 0)).max(axis=2) < 30  # the known length's
+    assert np.ptp(np.nonzero(blue.any(axis=0))[0]) / picture.shape[1] == pytest.approx(360 / 480, abs=0.06)
     green = np.abs(picture - (115, 158, 0)).max(axis=2) < 30  # the outline's colour, as OpenCV orders it
     rows, columns = np.nonzero(green)
     wide = np.ptp(columns[rows > picture.shape[0] // 3])

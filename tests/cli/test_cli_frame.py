@@ -260,7 +260,6 @@ def test_defaults_are_the_thesis() -> None:
         ("v --outline 1,2,3,4,5,6,7", "of three corners or more"),
         ("v --at 1", "expected a --at of at most 0.9999; got 1"),
         ("v --at 0.5 --whole-motion", "expected no --at with --thickness-m or --whole-motion"),
-        ("v --adjust", "expected --viewer page with --adjust; got auto"),
         ("v --held bottom,side", "--held: expected a comma list of top, bottom, left, right, border, contact"),
         ("v --held contact", "expected --contact X,Y,WIDTH,HEIGHT with --held contact; got no --contact"),
         ("v --held bottom --contact 1,2,3,4", "got --held bottom | try: --held bottom,contact"),

@@ -121,12 +121,11 @@ def test_a_page_of_any_desk_gets_its_state(tmp_path: Path) -> None:
 
 
 COMMANDS = {
-    "adjust": ["calibrate", "beta", "sample:tension", "--adjust", "--viewer", "page"],
     "page": ["calibrate", "beta", "sample:tension", "--viewer", "page"],
     "record": ["record", "RIG", "--viewer", "none", "--record", "FILE"],
     "live": ["live", "RIG", "--viewer", "page"],
 }
-BEGUN = {"adjust": "viewer: ", "page": "viewer: ", "record": "recording into", "live": "watching"}
+BEGUN = {"page": "viewer: ", "record": "recording into", "live": "watching"}
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import json
 import shlex
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
@@ -23,14 +23,14 @@ from deformscope.config.options import command_line
 from deformscope.errors import InputError
 from deformscope.page import fit, fit_process
 from deformscope.page.fit import VALUES, PageFit
-from deformscope.page.fit_command import set_on_page
 from deformscope.page.fit_process import FitProcess
-from deformscope.page.fit_settings import asked_on_page, not_on_a_page
+from deformscope.page.fit_settings import set_on_a_page
 from deformscope.page.fit_source import ImagesSubject, PairSubject, subject_of
 from deformscope.page.server.fit_messages import FitSettings, FitState
 from deformscope.page.server.messages import FitDrawn, RunFit, SetFit, StopRun, WriteNote
 from deformscope.page.server.page_server import PageServer, running_pages
 from deformscope.page.server.page_session import PageSession
+from deformscope.runs.force_log import push_of
 from deformscope.stages.fit.model import Observation
 from deformscope.stages.msm import reference
 from deformscope.stages.msm.quiet import quiet_warp
@@ -80,7 +80,7 @@ class Watched:
         self._changed = threading.Event()
         self.session.watch(self._change)
         quiet_warp()
-        self.fitting = PageFit(config, subject_of(config, lambda words: None), self._take)
+        self.fitting = PageFit(config, subject_of(config, lambda words: None, push_of), self._take)
         self._began = self.fitting.state.settings
 
     def _take(self, kind: str, *what: Any) -> None:
@@ -186,6 +186,32 @@ def test_images_are_shown_as_their_command_line_gives_them(frames: Path, capsys:
     at = found["settings"]["at"]
     assert (at["aee"], at["aee_free"]) == (shown.aee, shown.aee_free)
     assert found["settings"]["particles"] == len(shown.rest)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("log", [False, True], ids=["weight", "log"])
+def test_a_force_gives_what_its_command_line_gives(
+    frames: Path, tmp_path: Path, log: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from deformscope.config.calibrate import PushFlags
+
+    force = tmp_path / "scale.csv"
+    rows = [f"{0.1 * index:.1f},{200.0 * max(index - 10, 0):.1f}" for index in range(13)]
+    force.write_text("\n".join(["time [s],weight [g]", *rows]) + "\n")
+    given: dict[str, Any] = {"force": str(force), "force_offset_s": 1.0} if log else {"force": "400g"}
+    images = ImageOptions(fps=10.0, scale_from=(10.0, 20.0, 60.0, 20.0, 0.02))
+    with watched(beta_of(frames, images=images, push=PushFlags(**given, thickness_m=0.04))) as one:
+        began = one.until(lambda fit: fit.rest)
+        shown = one.fitted(1, beta=0.8)
+    assert began.scale == (10.0, 20.0, 60.0, 20.0, 0.02)
+    assert shown.problem == ""
+    found = typed(shown.command, capsys)
+    assert [found["value"], found["verdict_text"]] == [shown.found.value, shown.found.verdict]
+    assert found["force_n"]["value"] == pytest.approx(0.4 * 9.80665, rel=1e-6)
+    low, high = (1e-3 * end for end in found["modulus_pa"]["interval"])
+    assert f"modulus {found['modulus_verdict']}: " in shown.found.force
+    assert f"kPa ({low:.3g} to {high:.3g}) in plane stress" in shown.found.force
+    assert ("time of the log" in shown.found.force) == log
 
 
 class Held(Watched):
@@ -308,7 +334,7 @@ class Counted(PairSubject):
         self.looks: list[float | None] = []
         self.go_on = threading.Event()
 
-    def observe(self, config: BetaConfig | ThetaConfig) -> tuple[Observation, Mapping[str, object]]:
+    def observe(self, config: BetaConfig | ThetaConfig) -> Observation:
         self.looks.append(config.at)
         assert self.go_on.wait(PATIENCE_S)
         return super().observe(config)
@@ -383,7 +409,7 @@ def test_of_how_long_changes_took_the_newest_are_kept(pair: Path, monkeypatch: p
         if fit.goes_on:
             page.session.enter("adjusting", commands=fit.commands, fit=fit.state)
 
-    one = FitProcess(config, FitState("pair", "beta", FitSettings()), page, changed).start()
+    one = FitProcess(config, push_of, FitState("pair", "beta", FitSettings()), page, changed).start()
     page.session.bind(one)
     came = threading.Event()
     end = page.session.watch(lambda: came.set() if page.session.state.commands else None)
@@ -451,7 +477,7 @@ def test_settings_are_checked_field_by_field(wrong: dict[str, Any]) -> None:
 @pytest.mark.slow
 def test_the_command_waits_for_its_page(pair: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out.json"
-    words = ["calibrate", "beta", str(pair), "--candidates", "12", "--viewer", "page", "--adjust", "--json", str(out)]
+    words = ["calibrate", "beta", str(pair), "--candidates", "12", "--viewer", "page", "--json", str(out)]
     status: list[int] = []
     thread = threading.Thread(target=lambda: status.append(main(words)))
     thread.start()
@@ -485,17 +511,12 @@ def test_what_is_set_on_a_page(pair: Path) -> None:
     from deformscope.config.options import OutputOptions
 
     paged = OutputOptions(viewer="page")
-    assert not asked_on_page(beta_of(pair), at_terminal=True)
-    assert not asked_on_page(beta_of(pair, output=paged), at_terminal=False)
-    assert asked_on_page(beta_of(pair, output=paged), at_terminal=True)
-    assert asked_on_page(beta_of(pair, output=paged, adjust=True), at_terminal=False)
-    assert not_on_a_page(BetaConfig((str(pair), str(pair)))) == "2 files"
-    assert not_on_a_page(BetaConfig(("x",), motion=MotionFlags(whole_motion=True)))
-    assert not_on_a_page(BetaConfig(("x.npz",), push=PushFlags(thickness_m=0.1)))
-    with pytest.raises(InputError, match="2 files"), set_on_page(BetaConfig((str(pair), str(pair))), print):
-        pass
-    with pytest.raises(InputError, match="--viewer page with --adjust"):
-        beta_of(pair, adjust=True)
+    assert not set_on_a_page(beta_of(pair))
+    assert set_on_a_page(beta_of(pair, output=paged))
+    assert set_on_a_page(BetaConfig(("x.mp4",), push=PushFlags(force="3N", thickness_m=0.1), output=paged))
+    assert not set_on_a_page(BetaConfig((str(pair), str(pair)), output=paged))
+    assert not set_on_a_page(BetaConfig(("x",), motion=MotionFlags(whole_motion=True), output=paged))
+    assert not set_on_a_page(BetaConfig(("x.npz",), push=PushFlags(thickness_m=0.1), output=paged))
     with pytest.raises(InputError, match="deformscope live lab:bench --stage beta"):
         beta_of(Path("lab:bench"), output=paged)
     with pytest.raises(InputError, match="no --at with"):

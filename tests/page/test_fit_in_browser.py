@@ -17,6 +17,7 @@ from deformscope.cli import main
 from deformscope.page.server.fit_messages import FitSettings, FitState
 from deformscope.page.server.messages import FitDrawn, Outcome, PageCommand, RunFit, SetFit, StopRun
 from deformscope.page.server.page_server import PageServer
+from deformscope.runs.force_log import push_of
 from tests.files.test_image_pages import jpeg
 from tests.page.test_fit import wait_for_page
 from tests.page.test_in_browser import chromium, shown, until
@@ -107,6 +108,14 @@ def test_what_is_set_on_the_page_is_asked_for(setting: Setting, shown: Any) -> N
     until(shown, lambda: not shown.evaluate(red))
     setting.page.session.show(fit=setting.state)
     until(shown, lambda: shown.evaluate(red))
+    shown.check("[value=rest]")
+    cyan = red.replace("value > 200 && all[i + 1] < 80", "value < 40 && all[i + 1] > 180 && all[i + 2] > 180")
+    assert not shown.evaluate(cyan)
+    known = (20.0, 85.0, 120.0, 85.0, 0.05)
+    setting.state = msgspec.structs.replace(setting.state, scale=known, rest=setting.state.rest[:-1])
+    setting.page.session.show(fit=setting.state)
+    until(shown, lambda: shown.evaluate(cyan))  # the known length
+    shown.check("[value=deformed]")
     assert shown.inner_text("#fit-command") == "deformscope calibrate beta x"
     assert shown.inner_text("#stop").startswith("Finish")
     red = shown.evaluate("getComputedStyle(document.querySelector('#confirm .stop')).backgroundColor")
@@ -197,7 +206,7 @@ def test_a_slider_is_seen_within_300_ms(
 
     config = BetaConfig(("sample:tension",), images=ImageOptions(grid=grid, roi=(150, 0, 100, 330)))
     with PageServer("tension", adjusting=True) as page:
-        fitting = FitProcess(config, FitState("images", "beta", FitSettings()), page, changed).start()
+        fitting = FitProcess(config, push_of, FitState("images", "beta", FitSettings()), page, changed).start()
         page.session.bind(fitting)
         shown = browser.new_page(viewport={"width": 1280, "height": 800})
         shown.goto(page.address)
@@ -245,7 +254,8 @@ def test_a_drawing_on_the_first_frame_is_kept_until_the_command_ends(
     out = large / "out.json"
     words = ["calibrate", "beta", *(str(large / f"{index}.jpg") for index in range(FRAMES)), "--candidates", "12"]
     status: list[int] = []
-    options = ["--viewer", "page", "--adjust", "--json", str(out)]
+    words += ["--force", "650g", "--scale-from", "200,500,600,500=80mm", "--thickness-m", "0.05"]
+    options = ["--viewer", "page", "--json", str(out)]
     thread = threading.Thread(target=lambda: status.append(main([*words, *options])))
     thread.start()
     page = wait_for_page()
@@ -268,7 +278,8 @@ def test_a_drawing_on_the_first_frame_is_kept_until_the_command_ends(
     shown.mouse.up()
     shown.uncheck("#held-top")
     shown.uncheck("#held-bottom")
-    shown.check("#held-border")
+    shown.check("#held-left")
+    shown.check("#held-right")
     roi = tuple(float(value) for value in shown.input_value("#fit-roi").split(","))
     np.testing.assert_allclose(roi, BODY, atol=2)
 
@@ -276,10 +287,12 @@ def test_a_drawing_on_the_first_frame_is_kept_until_the_command_ends(
         assert page.session.state.fit is not None
         return page.session.state.fit
 
-    until(shown, lambda: state().aee is not None and not state().busy and state().settings.held == ("border",))
+    until(shown, lambda: state().aee is not None and not state().busy and state().settings.held == ("left", "right"))
     assert state().settings.roi == roi
     assert shown.input_value("#fit-roi") == ",".join(f"{value:g}" for value in roi)
-    assert shown.is_checked("#held-border")
+    assert shown.is_checked("#held-left")
+    shown.keyboard.press("f")
+    until(shown, lambda: "modulus" in shown.inner_text("#fit-found"))
     last = state()
     shown.keyboard.press("q")
     thread.join(PATIENCE_S)
@@ -288,10 +301,14 @@ def test_a_drawing_on_the_first_frame_is_kept_until_the_command_ends(
     finished = json.loads(out.read_text())
     assert finished["settings"]["frames"] == FRAMES
     assert finished["settings"]["at"]["aee"] == last.aee
+    fitted = last.found
+    assert fitted is not None
+    assert [fitted.value, fitted.low, fitted.high] == [finished["value"], *finished["interval"]]
+    low, high = (1e-3 * end for end in finished["modulus_pa"]["interval"])
+    assert f"{1e-3 * finished['modulus_pa']['value']:.3g} kPa ({low:.3g} to {high:.3g})" in fitted.force
     name, *typed = shlex.split(last.command)
     assert name == "deformscope"
     assert main([*typed, "--viewer", "none", "--json", "-"]) == 0
     again = json.loads(capsys.readouterr().out)
-    assert [again[key] for key in ("value", "interval", "aee_px")] == [
-        finished[key] for key in ("value", "interval", "aee_px")
-    ]
+    same = ("value", "interval", "aee_px", "force_n", "contact_stiffness_n_per_mm", "modulus_pa", "poisson")
+    assert [again[key] for key in same] == [finished[key] for key in same]

@@ -12,11 +12,13 @@ from deformscope.arrays import ImageArray
 from deformscope.config import BetaConfig, ImageOptions, MaterialOptions, ThetaConfig
 from deformscope.config.images import ParticleFlags
 from deformscope.experiments.fit.foam_video import ParticleOptions
+from deformscope.experiments.fit.push_force import PushOptions
 from deformscope.file_io import SAMPLE_SCHEME, sample_path
 from deformscope.files.sources import Source, open_source
 from deformscope.images import read_image
 from deformscope.recording.reader import Replay
 from deformscope.stages.fit.calibrate import FitOptions, Model
+from deformscope.stages.materials.press_cycle import PressForce
 from deformscope.stages.msm.solver import pick_device
 from deformscope.stages.see.follow import LARGE_PX
 from deformscope.stages.see.particles import outlined
@@ -80,6 +82,16 @@ def opened_images(sources: Sequence[str], images: ImageOptions, *, timed: bool =
     return open_source(
         sources, stride=images.stride, fps=images.fps, mask=images.mask, camera=images.camera, timed=timed
     )
+
+
+def on_one_clock(
+    source: Source, config: BetaConfig | ThetaConfig, push: PushOptions | None, log: PressForce | None
+) -> tuple[PushOptions | None, PressForce | None]:
+    """The force and its log; one that is in the images' own recording begins with the first image."""
+    if log is None or push is None or str(config.sources[0]) != config.push.force:
+        return push, log
+    log = dataclasses.replace(log, time_s=log.time_s - 1e-9 * source.began_ns)
+    return dataclasses.replace(push, force_offset_s=push.force_offset_s or 0.0), log
 
 
 def thinned(

@@ -13,7 +13,7 @@ from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.config.flags import HeldPart
 from deformscope.config.images import ParticleFlags
 from deformscope.errors import InputError
-from deformscope.experiments.fit.push_force import Pushed, PushOptions, found_by_force, with_force
+from deformscope.experiments.fit.push_force import PushOptions, found_by_force, with_force
 from deformscope.session import Experiment, Step, measuring
 from deformscope.stages.fit.calibrate import Calibration, FitOptions, Model, Observation, Progress, calibrate
 from deformscope.stages.fit.estimate import Comparison
@@ -60,20 +60,32 @@ def foam_video(
     grid, history = yield from track(particles, mask, times)
     if len(history) < 2:
         raise InputError("at least two frames", "one", "a longer sequence, or a smaller --stride")
-    seen, used = last_pose(grid, history, particles)
     with measuring("estimate"):
-        pushed: Pushed | None = None
-        if push is not None:
-            parts = particles.held, particles.contact_rect
-            pushed = with_force(seen, grid, history, times, *parts, push, log, fit.level)
-            seen = pushed.seen
-        found = calibrate([seen], fit, settings=used, progress=progress)
-        if push is not None and pushed is not None:
-            found = dataclasses.replace(found, estimate=found_by_force(found.estimate, pushed, push, fit.seed))
-    for index, comparison in enumerate(follow(seen, history, fit.model, found)):
+        found = fit_pose(grid, history, times, particles, fit, progress, push, log)
+    for index, comparison in enumerate(follow(found.seen[-1], history, fit.model, found)):
         yield Step((comparison,), frame=index)
     yield Step((found.estimate,))
     return found
+
+
+def fit_pose(
+    grid: ParticleGrid,
+    history: Sequence[Tracked],
+    times: Sequence[float],
+    particles: ParticleOptions,
+    fit: FitOptions,
+    progress: Progress | None = None,
+    push: PushOptions | None = None,
+    log: PressForce | None = None,
+) -> Calibration:
+    """Fit the last pose of tracked particles. times: of each frame after the first [s]; push, log: see `foam_video`"""
+    seen, used = last_pose(grid, history, particles)
+    if push is None:
+        return calibrate([seen], fit, settings=used, progress=progress)
+    parts = particles.held, particles.contact_rect
+    pushed = with_force(seen, grid, history, times, *parts, push, log, fit.level)
+    found = calibrate([pushed.seen], fit, settings=used, progress=progress)
+    return dataclasses.replace(found, estimate=found_by_force(found.estimate, pushed, push, fit.seed))
 
 
 def last_pose(

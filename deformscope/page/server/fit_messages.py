@@ -34,7 +34,8 @@ class FitSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 class FitResult(msgspec.Struct, frozen=True):
     """A whole fit. command: the command line of the result; value, low, high: value, lower end and upper end of the
-    parameter, at this level; aee_free: average error of the free particles at the result; verdict: verdict in words"""
+    parameter, at this level; aee_free: average error of the free particles at the result; verdict, force: the verdict
+    and what the force gives, in words"""
 
     command: str
     value: float
@@ -43,6 +44,7 @@ class FitResult(msgspec.Struct, frozen=True):
     level: float
     aee_free: float
     verdict: str
+    force: str = ""
 
 
 class FitState(msgspec.Struct, frozen=True):
@@ -56,7 +58,8 @@ class FitState(msgspec.Struct, frozen=True):
     rest, observed, simulated: where particles are in the picture [px]; seen: whether `observed` was measured; held:
     which particles are held; aee_free: average error of the free particles [unit]; the average of all that were seen is
     `aee`; values, errors: simulated values of the parameter, and the average error of all seen particles at each [unit]
-    busy: the present computation, as text; found: the last whole fit; picture: file that shows the fit, empty = none"""
+    busy: the present computation, as text; found: the last whole fit; picture: file that shows the fit, empty = none
+    scale: x, y of two places [px], and their distance [m]"""
 
     kind: Literal["images", "pair"]
     parameter: Literal["beta", "theta"]
@@ -82,3 +85,4 @@ class FitState(msgspec.Struct, frozen=True):
     busy: str = ""
     found: FitResult | None = None
     picture: str = ""
+    scale: tuple[float, ...] | None = None

@@ -2,7 +2,7 @@
 
 const at = (id) => document.getElementById(id);
 const HELD = ["top", "bottom", "left", "right", "border", "contact"];
-const COLORS = { rest: "#1ebe50", observed: "#286eff", simulated: "#eb2d2d", held: "#ffc800", box: "#ffffff" };
+const COLORS = { rest: "#1ebe50", observed: "#286eff", simulated: "#eb2d2d", held: "#ffc800", box: "#ffffff", scale: "#00d2d2" };
 const FINEST_PX = 4;
 const MOST_CHANGES = 1000; // of so many, the newest, it is said how long they took to be seen
 const NEAR_PX = 12; // of the screen: a click so near to the first corner closes an outline
@@ -194,7 +194,7 @@ export function startFitting(session, say) {
     at("fit-words").textContent = fit.kind === "images" && !fit.pictures.length ? fit.busy : "";
     const found = fit.found;
     at("fit-found").textContent = found
-      ? `${fit.parameter} ${found.value.toFixed(4)}, ${found.low.toFixed(3)} to ${found.high.toFixed(3)} (${100 * found.level} %). ${found.verdict}`
+      ? `${fit.parameter} ${found.value.toFixed(4)}, ${found.low.toFixed(3)} to ${found.high.toFixed(3)} (${100 * found.level} %). ${found.verdict}${found.force && `. ${found.force}`}`
       : "";
     at("fit-found").title = found ? `${found.value}` : "";
     const least = Math.min(...fit.errors.filter((error) => error !== null));
@@ -331,6 +331,17 @@ export function startFitting(session, say) {
       pen.stroke();
       pen.fillStyle = COLORS.box;
       corners.forEach(([x, y]) => pen.fillRect(x - 3 / scale, y - 3 / scale, 6 / scale, 6 / scale));
+    }
+    if (fit.scale) {
+      const [x, y, to_x, to_y, metres] = fit.scale;
+      pen.beginPath();
+      pen.moveTo(x, y);
+      pen.lineTo(to_x, to_y);
+      pen.lineWidth = 3 / scale;
+      pen.strokeStyle = pen.fillStyle = COLORS.scale;
+      pen.stroke();
+      pen.font = `${15 / scale}px sans-serif`;
+      pen.fillText(`${Number((1000 * metres).toPrecision(4))} mm`, (x + to_x) / 2, (y + to_y) / 2 - 6 / scale);
     }
   }
 
