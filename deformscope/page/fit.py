@@ -326,7 +326,7 @@ def found_of(estimate: Estimate, command: str) -> FitResult:
 
 
 def run_fit(config: BetaConfig | ThetaConfig, read_force: Callable[[PushFlags], Force], pipe: Connection) -> None:
-    """Run the fit until a `StopRun` comes, or the pipe ends. read_force: as of `subject_of`
+    """Run the fit until a `StopRun` comes, or the pipe ends. read_force: see `subject_of`
 
     The pipe gives commands of a page. It is given the messages of a `PageFit`, ("note", a step before it), and ("end",
     the last options, or an error)."""
