@@ -78,7 +78,7 @@ def fit_pose(
     push: PushOptions | None = None,
     log: PressForce | None = None,
 ) -> Calibration:
-    """Fit the last pose of tracked particles. times: seconds of each frame after the first; push, log: see `foam_video`"""
+    """Fit the last pose of tracked particles. times: seconds of each frame since the first; push, log: `foam_video`"""
     seen, used = last_pose(grid, history, particles)
     if push is None:
         return calibrate([seen], fit, settings=used, progress=progress)
