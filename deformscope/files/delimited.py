@@ -43,6 +43,8 @@ _MOMENT = re.compile(
 )
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}", re.ASCII)
 _UNIT = re.compile(r"[\[(<]([^\[\]()<>]{1,8})[\])>]\s*$")
+_CHINESE = re.compile(rb"(?:[\xb0-\xd7][\xa1-\xfe])+")
+"""Frequent characters of GB 2312, of which Western texts have hardly a pair."""
 _Row = tuple[list[str], int]
 """Fields of a row, and the number of lines up to its end."""
 
@@ -131,6 +133,9 @@ def form_of(file: BinaryIO, skip_rows: int = 0, where: object = "", *, is_own: b
         return replace(_Looked(",", lines[:1], 0, heads=1).form(), encoding=encoding, end=size)
     looked = [_Looked(one, lines, skip_rows) for one in SEPARATORS]
     best = max(looked, key=lambda one: one.evidence)
+    if len(best.others) > best.count and not skip_rows:
+        came = f"rows of {', '.join(map(str, sorted({*best.others, best.width})))} numbers"
+        raise InputError("a table, whose rows are of one width", came, "a file for each of them", where)
     if skip_rows and not best.is_named:
         free = max((_Looked(one, lines, 0) for one in SEPARATORS), key=lambda one: one.evidence)
         hint = f"skip_rows = {free.form().before}, or the map without it" if free.is_named else "rows with a header"
@@ -199,11 +204,18 @@ class _Looked:
         while first and (fits[first - 1] or (first > 1 and fits[first - 2] and _is_data(self._rows[first - 2][0]))):
             first -= 1  # a row within that lacks a field is no end
         self._before = self._rows[first - 1][1] if first else skip_rows
-        self._ends = [end for (_, end), one in zip(self._rows[first:], fits[first:], strict=True) if one]
         block = [row for row, _ in self._rows[first:] if len(row) == self.width]
+        ends = [end for (_, end), one in zip(self._rows[first:], fits[first:], strict=True) if one]
+        if form := _form_rows(block):
+            self._before, block, ends = ends[form - 1], block[form:], ends[form:]
+        self._ends = ends
         self._head = block[: _heads(block) if heads < 0 else heads]
         self._heads = len(self._head)
         self._data = block[self._heads :]
+        self.count = len(self._data)
+        given_rows = (row for row, _ in self._rows if len(row) != self.width)
+        self.others = [len(row) for row in given_rows if all(map(_NUMBER.fullmatch, row))]
+        """Widths of rows of numbers that are not of the table."""
         self.is_named = self._heads > 0 and not (skip_rows and first)
         given = [one for row in self._data for one in row if not _is_missing(one)]
         known = sum(map(_is_value, given))
@@ -275,14 +287,32 @@ class _Looked:
         return "".join(tail[at - (is_cut and at > 0) :])
 
 
-def _heads(block: Sequence[Sequence[str]]) -> int:
-    """How many of the first rows are a header: texts where the rows below have numbers."""
-    below = list(zip(*block[-max(1, len(block) // 3) :], strict=True))
-    of_numbers = [
+def _of_numbers(block: Sequence[Sequence[str]]) -> list[int]:
+    """The columns with numbers in the last rows."""
+    below = zip(*block[-max(1, len(block) // 3) :], strict=True)
+    return [
         at
         for at, found in enumerate(below)
         if not all(map(_is_missing, found)) and all(_is_missing(one) or _is_value(one) for one in found)
     ]
+
+
+def _form_rows(block: Sequence[Sequence[str]]) -> int:
+    """How many of the first rows are a form above the table, as of a test machine: texts and numbers, and below them a
+    row with a name for each column of numbers."""
+    parts = [[row[one] for one in _of_numbers(block)] for row in block]
+    named = [
+        at for at, part in enumerate(parts) if part and not any(_is_missing(one) or _is_value(one) for one in part)
+    ]
+    start = named[-1] if named else 0
+    above = parts[: start - 1 if start - 1 in named else start]
+    is_form = any(any(map(_is_value, part)) for part in above) and not any(all(map(_is_value, part)) for part in above)
+    return len(above) if is_form else 0
+
+
+def _heads(block: Sequence[Sequence[str]]) -> int:
+    """How many of the first rows are a header: texts where the rows below have numbers."""
+    of_numbers = _of_numbers(block)
     if not of_numbers:
         return 1
     for at, row in enumerate(block):
@@ -325,7 +355,8 @@ def _encoding(raw: bytes) -> str:
     try:
         codecs.getincrementaldecoder("utf-8")().decode(raw)
     except UnicodeDecodeError:
-        return "latin-1"
+        is_chinese = all(map(_CHINESE.fullmatch, re.findall(rb"[\x80-\xff]+", raw)))
+        return "gb18030" if is_chinese else "latin-1"
     return "utf-8-sig" if raw.startswith(codecs.BOM_UTF8) else "utf-8"
 
 

@@ -15,7 +15,8 @@ from deformscope.cli import main
 from deformscope.files.delimited import form_of, moment_ns
 from deformscope.files.table_file import read_table
 from deformscope.frames import WrenchFrame
-from tests.cases import each_once, slow
+from deformscope.imports.readers import open_reader
+from tests.cases import Capture, each_once, slow
 from tests.imports.test_captures_and_files import imported, refused
 from tests.imports.test_import_mistakes import AXES, map_of
 from tests.imports.test_importing import frames_of, inspected
@@ -65,6 +66,8 @@ TABLES: dict[str, str | bytes] = {
     "rows of units": written(";", ",").replace("\n", "\ns;N;N;N\n", 1),
     "rows of units in brackets": written("\t").replace("\n", "\n[s]\t[N]\t[N]\t[N]\n", 1),
     "three header rows": "clock,plate,plate,plate\n" + written().replace("\n", "\ns,N,N,N\n", 1),
+    "a form of as many fields above": "PARAMETER;INFO;URL;\nThickness (mm);3;;\nStandard;D412;;\n;;;\n"
+    + written(";", ","),
     "a separator after the last": written(";", ",", end=";\n"),
     "empty lines": "\n\n" + written().replace("\n", "\n\n") + "\n",
     "rows without values at the end": written(";", ",") + ";;;\n\n;;;\n",
@@ -317,6 +320,33 @@ def test_trials_are_read_by_the_same_reader(separator: str, suffix: str, tmp_pat
     found = read_table(path)
     np.testing.assert_array_equal(found.modalities["tactile"], [[at + 0.25, -at - 0.5] for at in range(12)])
     assert found.classes == ("foam", "wood")
+
+
+def test_a_header_in_chinese_is_read_as_it_is_written(tmp_path: Path) -> None:
+    text = written(names=("时间(s)", "力x(N)", "力y(N)", "位移z(N)"))
+    for encoding in ("gb18030", "utf-8"):
+        form = form_of(io.BytesIO(text.encode(encoding)))
+        assert form.names == ("时间(s)", "力x(N)", "力y(N)", "位移z(N)")
+        assert set(form.units.values()) == {"s", "N"}
+    (tmp_path / "t.csv").write_bytes(text.encode("gb18030"))
+    with open_reader(tmp_path / "t.csv") as reader:
+        assert next(reader.messages(["t.csv"])).value["力y(N)"] == -20.25
+    for names in (
+        ("Größe", "Kraft µ°", "Weg", "t"),
+        ("déjà", "Temps d'essai °C", "été", "à"),
+    ):  # high bytes, in pairs too
+        assert form_of(io.BytesIO(written(names=names).encode("latin-1"))).names == names
+
+
+@pytest.mark.parametrize("blocks", [(1, 3, 5), (3, 3, 5, 5, 3)])
+def test_rows_of_other_widths_are_no_table(blocks: tuple[int, ...], tmp_path: Path, capfd: Capture) -> None:
+    """A log that writes a line for each sensor: the last block alone would be a table of a few rows."""
+    lines = [" ".join(f"{one}.{at}" for one in range(width)) for at in range(20) for width in blocks]
+    (tmp_path / "grasp.txt").write_text("\n".join([*lines, "1 2 3 4 5", "1 2 3 4 5"]) + "\n")
+    assert main(["import", str(tmp_path / "grasp.txt"), "--inspect"]) == 2
+    said = capfd.readouterr().err
+    assert f"rows of {', '.join(map(str, sorted({*blocks})))} numbers" in said
+    assert said.count("\n") <= 5
 
 
 def test_a_form_is_the_same_whatever_the_first_lines_hold() -> None:
