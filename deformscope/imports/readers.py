@@ -1,17 +1,20 @@
 """Supported sources: bags (ROS 1, ROS 2, MCAP) and tables (CSV, Parquet), message by message, never whole."""
 
 import contextlib
+import csv
 import heapq
+import io
 import itertools
 import json
 import operator
 import re
+import zipfile
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path, PurePath
-from typing import Any, Protocol
+from typing import Any, BinaryIO, Protocol
 
 import pyarrow as pa
 
@@ -24,7 +27,8 @@ from deformscope.imports.unpacked import bounded, check_chunks
 from deformscope.recording.export.manifest import ExportedStream, Manifest, read_manifest
 
 BAGS = (".bag", ".mcap", ".db3")
-TABLES = (*TEXTS, ".parquet")
+SHEETS = (".xls", ".xlsx")
+TABLES = (*TEXTS, ".parquet", *SHEETS)
 FILES = (".png", ".tif", ".tiff", ".jpg", ".pcd", ".ply")
 CANDUMP = re.compile(r"\((\d{1,12})\.(\d+)\)\s+(\S+)\s+([0-9A-Fa-f]{1,8})(#{1,3})(\S*)(\s+[RT])?\s*$")
 CAN_DATA = re.compile(r"((?:[0-9A-Fa-f]{2})*)(?:_[0-9A-Fa-f])?")
@@ -35,6 +39,7 @@ BATCH_ROWS = 64
 """Rows that are read together: a column's text, however long, comes once with each."""
 RATIO = 100
 """A column's values are larger than its bytes by more only where few bytes stand for many."""
+SEGMENT = re.compile(rb"^# (columns|units|springConstant): +(.*\S)", re.MULTILINE)
 PACKAGE = "deformscope_msgs/msg/"
 """Package of the messages in deformscope's own exports."""
 
@@ -44,7 +49,8 @@ class Topic:
     """Content of a source under a name. type: type of its messages, `csv` or `parquet`; count: messages, or None
 
     units: units of fields, or empty; kind: for an export of deformscope, the class of the rows; form: how a table is
-    written, in words; cut: its last line, if that was cut off and is left out"""
+    written, in words; cut: its last line, if that was cut off and is left out; spring_n_per_m: stiffness of an AFM's
+    cantilever that it states, or 0"""
 
     name: str
     type: str
@@ -53,6 +59,7 @@ class Topic:
     kind: str = ""
     form: str = ""
     cut: str = ""
+    spring_n_per_m: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -335,19 +342,67 @@ def _can_topic(found: re.Match[str]) -> str:
     return name if CAN_DATA.fullmatch(found[6]) else ""
 
 
+def _sheets(path: Path) -> dict[str, bytes]:
+    """The sheets of a workbook by name, as text between tabs. Raises InputError."""
+    try:
+        from python_calamine import CalamineWorkbook
+    except ImportError:
+        raise InputError("the package python-calamine", "none", "pip install 'deformscope[excel]'") from None
+    try:
+        unpacked = sum(one.file_size for one in zipfile.ZipFile(path).infolist()) if zipfile.is_zipfile(path) else 0
+        check_size("a workbook", max(unpacked, path.stat().st_size), path)
+        book, found = CalamineWorkbook.from_path(path), {}
+        for name in book.sheet_names:
+            csv.writer(text := io.StringIO(), "excel-tab").writerows(book.get_sheet_by_name(name).to_python())
+            found[name] = text.getvalue().encode()
+    except InputError:
+        raise
+    except Exception as error:  # calamine has errors of many kinds
+        came = " ".join(str(error).split())[:160]
+        raise InputError("a workbook without a password", came, "its sheets as .csv", path) from error
+    return found
+
+
+def _segments(path: Path) -> tuple[bytes, float]:
+    """A force curve that an AFM's software (JPK) exported, whose segments have a header each, as one table, and the
+    cantilever's stiffness [N/m]; nothing for other texts. Raises InputError."""
+    with path.open("rb") as file:
+        if b"\n# columns: " not in file.read(BATCH_ROWS << 10):
+            return b"", 0.0
+    check_size("a force curve", path.stat().st_size, path)
+    raw, said = path.read_bytes(), dict[bytes, list[bytes]]()
+    for name, value in SEGMENT.findall(raw):
+        said.setdefault(name, []).append(value)
+    if len({*said[b"columns"]}) > 1:
+        came = b", or ".join(dict.fromkeys(said[b"columns"])).decode(errors="replace")
+        raise InputError("segments of the same columns", came, "an export of one segment", path)
+    rows = (line for line in raw.splitlines() if line.strip() and not line.startswith(b"#"))
+    spring = said.get(b"springConstant", [b"0"])[-1]
+    return b"\n".join([said[b"columns"][0], *said.get(b"units", [])[:1], *rows, b""]), float(spring)
+
+
 class FolderReader:
-    """Topics of a folder: tables, named by their paths in it, and files of images or points, one frame each, by their
-    folder and ending: such a topic is a pattern (`depth/*.png`). path: path of the folder, or of one table"""
+    """Topics of a folder: tables, named by their paths in it, the sheets of workbooks (`BOOK.xlsx/SHEET`), and files of
+    images or points, one frame each, by their folder and ending: such a topic is a pattern (`depth/*.png`). path: path
+    of the folder, or of one table"""
 
     def __init__(self, path: Path, skip_rows: int, times: Collection[str]) -> None:
         self.path, self._skip_rows, self._times = path, skip_rows, times
         self._tables: dict[str, Path] = {}
+        self._texts: dict[str, bytes] = {}
+        self._springs: dict[str, float] = {}
         self._files: dict[str, list[Path]] = {}
         self._forms: dict[str, TableForm] = {}
         for one in sorted(sorted(path.rglob("*")), key=natural_key) if path.is_dir() else [path]:
             place, suffix = one.relative_to(path if path.is_dir() else path.parent), one.suffix.lower()
-            if suffix in TABLES:
+            if suffix in SHEETS and one.is_file():
+                self._texts |= (sheets := {f"{_name(place)}/{name}": text for name, text in _sheets(one).items()})
+                self._tables |= dict.fromkeys(sheets, one)
+            elif suffix in TABLES:
                 self._tables[_name(place)] = one
+                text, spring = _segments(one) if suffix == ".txt" and one.is_file() else (b"", 0.0)
+                self._texts |= {_name(place): text} if text else {}
+                self._springs[_name(place)] = spring
             elif suffix in FILES and one.is_file():
                 self._files.setdefault(_name(place.parent / f"*{one.suffix}"), []).append(one)
         if self._files:  # texts beside images are their times
@@ -376,13 +431,14 @@ class FolderReader:
                 continue
             form, is_text = self._forms.get(name), path.suffix.lower() != ".parquet"
             is_doubtful = form is not None and not own.columns and not form.is_likely
-            if is_doubtful and (self._files or (path.suffix == ".txt" and len(self._tables) > 1)):
+            if is_doubtful and (self._files or (path.suffix in (".txt", *SHEETS) and len(self._tables) > 1)):
                 continue  # notes
             if form is not None and not own.columns:
                 units |= dict(form.units) | dict.fromkeys(form.moments, "ns")
             words = "" if form is None or own.columns else form.to_text()
             cut = "" if form is None else form.cut
-            found[name] = Topic(name, "csv" if is_text else "parquet", count, units, kinds[-1], words, cut)
+            of, spring = "csv" if is_text else "parquet", self._springs.get(name, 0.0)
+            found[name] = Topic(name, of, count, units, kinds[-1], words, cut, spring)
         return found
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
@@ -425,7 +481,8 @@ class FolderReader:
                     )
                     yield schema, file.metadata.num_rows, (one.rename_columns(names) for one in file.iter_batches(rows))
                 return
-            with path.open("rb") as text:
+            raw: BinaryIO = io.BytesIO(self._texts[name]) if name in self._texts else path.open("rb")
+            with raw as text:
                 if name not in self._forms:
                     is_own = bool(self._own(name).columns)
                     self._forms[name] = form_of(text, self._skip_rows, self._tables[name], is_own=is_own)

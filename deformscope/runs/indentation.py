@@ -1,5 +1,6 @@
 """Moduli from curves of force over depth: of tables, of recordings, and of what `import` reads with a map."""
 
+import fnmatch
 import itertools
 import re
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
@@ -40,9 +41,12 @@ from deformscope.stages.poke.indentation import (
 from deformscope.stages.poke.tip_law import Ground, Indenter
 
 ROLES = {
-    "force": ("N", re.compile(r"force|load|kraft|last|\bf[xyz]?\b|\bfn\b", re.IGNORECASE)),
-    "depth": ("m", re.compile(r"disp|depth|dent|ext|pos|travel|weg|stroke|compr|tiefe|height|\b[dz]\b", re.IGNORECASE)),
-    "time": ("s", re.compile(r"time|zeit|\bt\b", re.IGNORECASE)),
+    "force": ("N", re.compile(r"force|load|kraft|last|力|\bf[xyz]?\b|\bfn\b", re.IGNORECASE)),
+    "depth": (
+        "m",
+        re.compile(r"disp|depth|dent|ext|pos|travel|weg|stroke|compr|tiefe|allong|位移|height|\b[dz]\b", re.I),
+    ),
+    "time": ("s", re.compile(r"time|zeit|时间|\bt\b", re.IGNORECASE)),
 }
 """Quantity of each column, and names that it has."""
 FACTORS = SI | {unit: ("s", ns / 1e9) for unit, ns in TIME_NS.items()}
@@ -145,7 +149,9 @@ def _of_arrays(given: CurveArrays, name: str) -> IndentCurve:
 
 
 def curves_of(path: Path, config: IndentConfig) -> list[IndentCurve]:
-    """The curves of a source: one of each table, one of each touch of a recording. Raises InputError."""
+    """The curves of a source: one of each table, one of each touch of a recording; BOOK.xlsx#SHEET: of the sheets with
+    such a name, which may have wildcards. Raises InputError."""
+    path, only = (path, "*") if path.exists() else (Path(one) for one in f"{path}#*".split("#")[:2])
     if config.map is not None:
         asked = read_map(config.map)
         with (
@@ -161,13 +167,22 @@ def curves_of(path: Path, config: IndentConfig) -> list[IndentCurve]:
             ]
         return touches_of(read_items(path, kinds=(ArmFrame, WrenchFrame)), path.name)
     with open_reader(path) as reader:
-        return [_of_table(reader, name, config, path) for name in reader.topics]
+        sheets = [name.removeprefix(f"{path.name}/") for name in reader.topics]
+        chosen = [name for name, sheet in zip(reader.topics, sheets, strict=True) if fnmatch.fnmatch(sheet, str(only))]
+        if not chosen:
+            raise InputError(f"a sheet out of {', '.join(sheets)}", f"{only}", f"{path.name}#{sheets[0]}", path)
+        return [_of_table(reader, name, config, path) for name in chosen]
 
 
 def _of_table(reader: Reader, name: str, config: IndentConfig, path: Path) -> IndentCurve:
-    units = reader.topics[name].units
+    topic = reader.topics[name]
+    units = topic.units
     asked = {"force": config.force_column, "depth": config.depth_column, "time": config.time_column}
     found = {role: _column(role, said, units, path) for role, said in asked.items()}
+    way = found["depth"][0] if found["depth"] else ""
+    if topic.spring_n_per_m and config.machine_n_per_mm is None and "tip" not in way.lower():
+        hint = f"--machine-n-per-mm {1e-3 * topic.spring_n_per_m:.4g}, as the file states"
+        raise InputError("the way of the tip, or the cantilever's stiffness", f"{way}, the piezo's", hint, path)
     rows = [message.value for message in reader.messages([name])]
     values: dict[str, FloatArray] = {}
     for role, column in found.items():
@@ -178,8 +193,11 @@ def _of_table(reader: Reader, name: str, config: IndentConfig, path: Path) -> In
             except (TypeError, ValueError):
                 raise InputError(f"numbers in column {which}", "text", where=path) from None
             values[role] = factor * given
-    shown = name if name == path.name else f"{path.name}/{name}"
-    return IndentCurve(values["depth"], values["force"], values.get("time"), shown)
+    shown = name if name.startswith(path.name) else f"{path.name}/{name}"
+    time_s = values.get("time")
+    if time_s is not None and np.mean(time_s < np.maximum.accumulate(time_s)) > 0.1:
+        time_s = None  # a clock of each segment
+    return IndentCurve(values["depth"], values["force"], time_s, shown)
 
 
 def _column(role: str, said: str | None, units: Mapping[str, str], path: Path) -> tuple[str, float] | None:

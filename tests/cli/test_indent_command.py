@@ -1,7 +1,10 @@
 """`deformscope indent` as a user runs it: tables of several programs, recordings, maps, and what it refuses."""
 
 import json
+import sys
+import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -71,6 +74,107 @@ def test_columns_are_found_by_units_and_names_or_said(
         columns = [columns[1], columns[2], time]
     path = write(tmp_path / "curve.csv", header, *columns)
     assert found([str(path), *SPHERE, *flags], capsys)["curves"][0]["modulus_pa"] == pytest.approx(YOUNG, rel=0.02)
+
+
+def jpk(path: Path, *, tip: bool = False) -> None:
+    """A force curve as JPK's software exports it as text: a bead of 5 um on a gel of 1 kPa, with a cantilever of
+    0.02 N/m."""
+    way = np.linspace(-2e-6, 1.5e-6, 500)
+    force = 4 / 3 * 1e3 / 0.75 * np.sqrt(2.5e-6) * np.maximum(way, 0.0) ** 1.5
+    force += 2e-12 * np.random.default_rng(3).standard_normal(len(way))
+    height = 60e-6 - way - (0 if tip else 1) * force / 0.02
+    parts = ["# xPosition: 0.001", "#", "# approachID: 1", ""]
+    for segment, order in (("extend", slice(None)), ("retract", slice(None, None, -1))):
+        parts += [f"# segment: {segment}", f"# columns: vDeflection {'verticalTipPosition' if tip else 'height'} time"]
+        parts += ['# fancyNames: "Vertical deflection" "Height (measured)" "Segment Time"', "# sensitivity: 7.4E-8"]
+        parts += ["# springConstant: 0.02", "# units: N m s", "#"]
+        parts += [
+            f"{a:.7E} {b:.9E} {c:.4f}"
+            for a, b, c in zip(force[order], height[order], 0.001 * np.arange(500), strict=True)
+        ]
+        parts.append("")
+    path.write_text("\n".join(parts))
+
+
+@pytest.mark.parametrize("tip", [True, False])
+def test_the_segments_of_a_force_curve_are_one_curve(tip: bool, tmp_path: Path, capsys: Capture) -> None:
+    jpk(tmp_path / "force.txt", tip=tip)
+    asked = [str(tmp_path / "force.txt"), "--tip", "sphere:5e-6", "--poisson", "0.5"]
+    asked += [f"--depth-column=-{'verticalTipPosition' if tip else 'height'}"]
+    if not tip:  # without the cantilever's give the gel would be too soft
+        assert main(["indent", *asked]) == 2
+        assert "try: --machine-n-per-mm 2e-05, as the file states" in capsys.readouterr().err
+        asked += ["--machine-n-per-mm", "2e-5"]
+    result = found(asked, capsys)["curves"][0]
+    assert result["modulus_pa"] == pytest.approx(1e3, rel=0.04)
+    assert result["unloading_pa"] == pytest.approx(1e3, rel=0.15)
+    assert result["loss"] == pytest.approx(0.0, abs=0.02)
+
+
+def test_segments_of_other_columns_are_refused(tmp_path: Path, capsys: Capture) -> None:
+    jpk(tmp_path / "force.txt")
+    text = (tmp_path / "force.txt").read_text().rpartition("# columns: vDeflection height")
+    (tmp_path / "force.txt").write_text(f"{text[0]}# columns: height vDeflection{text[2]}")
+    assert main(["indent", str(tmp_path / "force.txt"), "--tip", "sphere:5e-6"]) == 2
+    assert "segments of the same columns; got vDeflection height time, or height vDefl" in capsys.readouterr().err
+
+
+def workbook(path: Path, sheets: dict[str, list[list[object]]]) -> Path:
+    """An .xlsx of sheets."""
+    head = "<?xml version='1.0'?>"
+    main_ns = "xmlns='http://schemas.openxmlformats.org/spreadsheetml/2006/main'"
+    office = "http://schemas.openxmlformats.org/officeDocument/2006/relationships"
+    relations = "xmlns='http://schemas.openxmlformats.org/package/2006/relationships'"
+    listed = "".join(f"<sheet name='{one}' sheetId='{at}' r:id='r{at}'/>" for at, one in enumerate(sheets, 1))
+    linked = "".join(
+        f"<Relationship Id='r{at}' Type='{office}/worksheet' Target='worksheets/sheet{at}.xml'/>"
+        for at in range(1, len(sheets) + 1)
+    )
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as book:
+        root = f"<Relationship Id='b' Type='{office}/officeDocument' Target='xl/workbook.xml'/>"
+        book.writestr("_rels/.rels", f"{head}<Relationships {relations}>{root}</Relationships>")
+        book.writestr(
+            "xl/workbook.xml", f"{head}<workbook {main_ns} xmlns:r='{office}'><sheets>{listed}</sheets></workbook>"
+        )
+        book.writestr("xl/_rels/workbook.xml.rels", f"{head}<Relationships {relations}>{linked}</Relationships>")
+        for at, rows in enumerate(sheets.values(), 1):
+            cells = (
+                "".join(
+                    f"<c t='inlineStr'><is><t>{one}</t></is></c>" if isinstance(one, str) else f"<c><v>{one}</v></c>"
+                    for one in row
+                )
+                for row in rows
+            )
+            data = "".join(f"<row>{one}</row>" for one in cells)
+            book.writestr(
+                f"xl/worksheets/sheet{at}.xml", f"{head}<worksheet {main_ns}><sheetData>{data}</sheetData></worksheet>"
+            )
+    return path
+
+
+def test_sheets_of_a_workbook_are_places(tmp_path: Path, capsys: Capture) -> None:
+    pytest.importorskip("python_calamine")
+    sheets: dict[str, list[list[object]]] = {"Résultats": [["Fmax", "dL"], ["N", "mm"], [1.5, 2.0], [1.25, 2.5]]}
+    for number in range(3):
+        rows = np.column_stack(curve(number)) * [1.0, 1e3, 1.0]
+        sheets[f"FF{number}"] = [[f"FF{number}"] * 3, ["Temps d'essai", "Allongement", "Force standard"]]
+        sheets[f"FF{number}"] += [["s", "mm", "N"], *rows.tolist()]
+    path = workbook(tmp_path / "zwick.xlsx", sheets)
+    result = found([f"{path}#FF[01]", *SPHERE], capsys)
+    assert [one["name"] for one in result["curves"]] == ["zwick.xlsx/FF0", "zwick.xlsx/FF1"]
+    assert result["curves"][0]["rate_n_per_s"] > 0.0
+    assert result["together"]["modulus_pa"] == pytest.approx(YOUNG, rel=0.02)
+    assert main(["indent", f"{path}#RDG", *SPHERE]) == 2
+    assert "expected a sheet out of Résultats, FF0, FF1, FF2; got RDG" in capsys.readouterr().err
+    (tmp_path / "bad.xlsx").write_bytes(path.read_bytes()[:500])
+    assert main(["indent", str(tmp_path / "bad.xlsx"), *SPHERE]) == 2
+    assert "expected a workbook" in capsys.readouterr().err
+
+
+def test_a_workbook_without_its_package_names_it(tmp_path: Path, capsys: Capture, monkeypatch: Any) -> None:
+    monkeypatch.setitem(sys.modules, "python_calamine", None)
+    assert main(["indent", str(workbook(tmp_path / "a.xlsx", {"A": [["t"]]})), *SPHERE]) == 2
+    assert "try: pip install 'deformscope[excel]'" in capsys.readouterr().err
 
 
 def test_several_sources_are_places_of_one_sample(tmp_path: Path, capsys: Capture) -> None:

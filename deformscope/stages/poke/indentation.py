@@ -43,6 +43,11 @@ MOST_OF_RADIUS, MOST_OF_LAYER, MOST_DEPTH_M = 0.3, 0.2, 0.1
 """Deepest dents that the law of small strain is fitted to, over the tip's radius and over a layer's thickness: Hertz's
 law holds within some 3 % up to 0.3 radii (Lin et al. 2009, Biomech. Model. Mechanobiol. 8, 345). Deeper ones than the
 last [m] are taken to be of another unit."""
+BENDS = 0.25
+"""Log of the force over the law's at twice the fitted dent, from which the sample bends; elastic ones under a sphere
+stay below."""
+TRIMS = 6
+"""How often, at most, what is deeper is cut off and contact found anew."""
 POISSONS, DRAWS = 5, 4000
 """Values of Poisson's ratio, where it is a range; draws of an interval."""
 HELD, LONG, BEGUN = 0.01, 0.1, 0.02
@@ -299,9 +304,13 @@ class _Poke:
         was left out."""
         law, whole, reasons = self.law(0.5 * sum(self.sample.poisson)), self.loaded, list[Doubt]()
         limit_m, found = self.sample.limit_m, self.fit(whole, EXPONENT_SD, law)
-        deep = self.depth_m[:whole] > found.contact_m * self.scale[0] + limit_m
-        if self.dent_m(found) > limit_m and deep.any():
-            whole = max(int(np.argmax(deep)), self.began + FEWEST)
+        for _ in range(TRIMS):  # contact is found too deep with what does not follow the law
+            deep = self.depth_m[:whole] > found.contact_m * self.scale[0] + limit_m
+            at = max(int(np.argmax(deep)), self.began + FEWEST)
+            if not deep.any() or self.dent_m(found) <= limit_m or at >= whole:
+                break
+            whole, found = at, self.fit(at, EXPONENT_SD, law)
+        if whole != self.loaded:
             text = f"dents beyond {1e3 * limit_m:.3g} mm are left out: the law is of small strain"
             reasons.append(Doubt("large-strain", text))
         upto, follows, loading = whole, False, self.force_n[:whole]
@@ -318,6 +327,17 @@ class _Poke:
             reasons.append(Doubt("large-strain", text, None if follows else "weak"))
         return upto, OWN_EXPONENT_SD if follows else EXPONENT_SD, reasons
 
+    def bend(self, fit: ContactFit, law: TipLaw) -> float:
+        """Log of the force over the law's at twice the fitted dent, 0 where it is small or not known: a sample that
+        stiffens looks like a stiff one that is touched later, all the more as noise hides how it begins."""
+        contact_m, dent_m = fit.contact_m * self.scale[0], self.dent_m(fit)
+        deeper = np.flatnonzero(self.depth_m[: self.loaded] > contact_m + 2.0 * dent_m)
+        if not len(deeper):
+            return 0.0
+        over_pa = smoothed(self.force_n)[deeper[0]] / self.plane_pa(fit, law)
+        off = float(np.log(max(over_pa / law.response(2.0 * dent_m), 0.1)))
+        return off if off > BENDS else 0.0
+
     def reasons(self) -> list[Doubt]:
         """What the curve shows besides the law."""
         pull, drift = self.pull_n / self.peak_n, abs(self.drift_n) / self.peak_n
@@ -331,8 +351,8 @@ class _Poke:
             found.append(Doubt("short-record", text, "weak"))
         return found
 
-    def shares(self, fit: ContactFit, law: TipLaw) -> tuple[ModulusShare, ...]:
-        """Deviations of log E*, by their causes."""
+    def shares(self, fit: ContactFit, law: TipLaw, bend: float) -> tuple[ModulusShare, ...]:
+        """Deviations of log E*, by their causes. bend: see `bend`"""
         sample, dent_m, steep = self.sample, self.dent_m(fit), law.steepness(self.dent_m(fit))
         bent_m = self.machine.compliance_sd * fit.at_force_n * self.scale[1]
         own_m = float(np.sqrt(max((fit.depth_sd_m * self.scale[0]) ** 2 - bent_m**2, 0.0)))
@@ -353,7 +373,7 @@ class _Poke:
             "force gain": sample.gain_sd,
             "drift": self.drift_sd_n / self.peak_n,
             "adhesion": 0.5 * self.pull_n / self.peak_n,
-            "law": float(np.hypot(LAW_SD * min(strained, 1.0), fit.exponent / law.exponent - 1.0)),
+            "law": float(np.linalg.norm([LAW_SD * min(strained, 1.0), fit.exponent / law.exponent - 1.0, bend])),
         }
         return tuple(ModulusShare(cause, sd) for cause, sd in every.items())
 
@@ -410,7 +430,10 @@ def fit_indentation(curve: IndentCurve, sample: IndentSample) -> IndentEstimate:
     dent_m, contact_m = poke.dent_m(fit), fit.contact_m * poke.scale[0]
     radius_m = sample.tip.contact_radius_m(dent_m)
     _check_sides(sample, radius_m, curve.name)
-    shares = poke.shares(fit, law)
+    if bend := poke.bend(fit, law):
+        text = f"at twice {1e3 * dent_m:.3g} mm the force is {np.exp(bend):.2g} times the law's: the sample stiffens"
+        reasons.append(Doubt("large-strain", text, "weak"))
+    shares = poke.shares(fit, law, bend)
     nu = np.linspace(low, high, POISSONS)  # a range: the interval holds whichever it is
     plane_log = np.interp(nu, ratios, np.log(plane))
     young_log = plane_log + np.log1p(-(nu**2))

@@ -233,6 +233,20 @@ def test_deep_dents_of_a_thin_layer_are_left_out() -> None:
     assert found.deepest_m == pytest.approx(0.005, rel=0.02)
 
 
+@pytest.mark.parametrize(("stiffens", "named"), [(0.0, False), (0.3, False), (3.0, True), (10.0, True)])
+def test_a_sample_that_stiffens_is_no_stiff_one(stiffens: float, named: bool) -> None:
+    """Where noise hides how its force begins, a tissue that stiffens looks like a stiff one that is touched later."""
+    z = np.linspace(-0.002, 0.006, 400)
+    force = np.sqrt(0.5) * hertz(z) * (1.0 + stiffens * (np.maximum(z, 0.0) / 0.005) ** 2)
+    noise = 0.001 * force.max() * np.random.default_rng(4).standard_normal(len(z))
+    sample = replace(BALL, tip=Indenter("sphere", (0.01,)))
+    found = fit_indentation(IndentCurve(z, force + noise), sample)
+    assert found.depth_m < 1.05 * sample.limit_m
+    assert any("the sample stiffens" in one.text for one in found.reasons) is named
+    assert (found.verdict == "identified") is not named
+    assert found.modulus_interval_pa[0] < YOUNG * (2.0 if stiffens > 3.0 else 1.0)  # beyond 4 times, a bound alone
+
+
 def test_a_hold_is_separated_and_its_force_and_loss_are_stated() -> None:
     z, force, time = (one[::3] for one in poke(hold=400))
     held = 3 * np.arange(len(z)) - 420
