@@ -44,7 +44,7 @@ ROLES = {
     "force": ("N", re.compile(r"force|load|kraft|last|力|\bf[xyz]?\b|\bfn\b", re.IGNORECASE)),
     "depth": (
         "m",
-        re.compile(r"disp|depth|dent|ext|pos|travel|weg|stroke|compr|tiefe|allong|位移|height|\b[dz]\b", re.I),
+        re.compile(r"disp|depth|dent|ext|pos|travel|weg|stroke|compr|tiefe|llong|位移|height|\b[dz]\b", re.I),
     ),
     "time": ("s", re.compile(r"time|zeit|时间|\bt\b", re.IGNORECASE)),
 }
