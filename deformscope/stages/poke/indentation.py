@@ -47,7 +47,7 @@ BENDS = 0.25
 """Log of the force over the law's at twice the fitted dent, from which the sample bends; elastic ones under a sphere
 stay below."""
 TRIMS = 6
-"""How often, at most, what is deeper is cut off and contact found anew."""
+"""How often, at most, what is deeper is cut off and contact found again."""
 POISSONS, DRAWS = 5, 4000
 """Values of Poisson's ratio, where it is a range; draws of an interval."""
 HELD, LONG, BEGUN = 0.01, 0.1, 0.02
