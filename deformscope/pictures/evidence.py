@@ -213,9 +213,10 @@ def _draw_curve(axes: "Axes", estimate: Estimate, size: int) -> None:
         label="error, all particles",
     )
     if math.isfinite(best):
-        axes.plot(
-            [estimate.value], [best], "D", color=MINIMUM, ms=8, label=f"estimate, lowest error: {estimate.value:.3g}"
-        )
+        axes.plot([estimate.value], [best], "D", color=MINIMUM, ms=8, label=f"estimate: {estimate.value:.3g}")
+    if estimate.least_aee is not None:
+        value, least = estimate.least_aee
+        axes.plot([value], [least * factor], "v", color=ERROR, ms=7, label=f"least AEE (thesis): {value:.3g}")
     lowest, highest = estimate.bounds
     room = 0.03 * (highest - lowest)  # a mark at a bound is seen whole
     axes.set_xlim(lowest - room, highest + room)
@@ -237,9 +238,9 @@ def _draw_posterior(axes: "Axes", estimate: Estimate, size: int) -> None:
     posterior = estimate.posterior
     likeliest = float(posterior.parameter[np.argmax(posterior.density)])
     if low <= likeliest <= high and abs(likeliest - estimate.value) > APART * (highest - lowest):
-        peak, lowest_error = f"most likely, marginally: {likeliest:.3g}", f"lowest error: {estimate.value:.3g}"
+        peak, joint = f"most likely, marginally: {likeliest:.3g}", f"estimate: {estimate.value:.3g}"
         axes.plot([likeliest], [posterior.density.max()], "v", color=POSTERIOR, ms=7, label=peak)
-        axes.plot([estimate.value], [0.0], "D", color=MINIMUM, ms=7, label=lowest_error, clip_on=False)
+        axes.plot([estimate.value], [0.0], "D", color=MINIMUM, ms=7, label=joint, clip_on=False)
         axes.legend(fontsize=size - 2)
     if high - low >= NARROW * (highest - lowest):
         return

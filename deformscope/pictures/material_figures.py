@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def joint_png(found: "JointEstimate") -> bytes:
-    """The joint posterior of beta and theta as a map, with the values of lowest error."""
+    """The joint posterior of beta and theta as a map, with the most likely values."""
     assert found.beta.posterior is not None
     assert found.theta.posterior is not None
     beta, theta = found.beta.posterior.parameter, found.theta.posterior.parameter
@@ -31,7 +31,7 @@ def joint_png(found: "JointEstimate") -> bytes:
     last = order[min(int(np.searchsorted(np.cumsum(weight) / weight.sum(), found.beta.level)), order.size - 1)]
     edge = float(found.density.ravel()[last])
     axis.contour(beta, theta, found.density.T, levels=[edge], colors="tab:blue")
-    axis.plot(found.beta.value, found.theta.value, "x", color="tab:red", label="lowest error")
+    axis.plot(found.beta.value, found.theta.value, "x", color="tab:red", label="most likely")
     axis.plot([], [], color="tab:blue", label=f"{found.beta.level:.0%} set")
     axis.set(xlabel="beta [-]", ylabel="theta [-]")
     axis.legend()

@@ -92,6 +92,7 @@ def estimate_rows(estimate: Estimate) -> list[tuple[str, str]]:
     rows = [
         *value_rows(estimate),
         *estimate.stiffness_rows(),
+        *least_aee_rows(estimate),
         ("error, all particles", format_length(estimate, estimate.aee)),
         ("error, free particles", format_length(estimate, estimate.aee_free)),
         ("noise of a position", format_length(estimate, found.get("noise"))),
@@ -123,6 +124,14 @@ def value_rows(estimate: Estimate) -> list[tuple[str, str]]:
         ("verdict", estimate.verdict_text()),
         *reason_rows(estimate.reasons, besides=estimate.verdict_text()),
     ]
+
+
+def least_aee_rows(estimate: Estimate) -> list[tuple[str, str]]:
+    """The thesis's value, that of the least mean distance, if it was searched."""
+    if estimate.least_aee is None:
+        return []
+    value, aee = estimate.least_aee
+    return [("least AEE (thesis)", f"{format_length(estimate, aee)} at {estimate.parameter} {value:.4g}")]
 
 
 def reason_rows(reasons: Sequence[Doubt], besides: str = "") -> list[tuple[str, str]]:

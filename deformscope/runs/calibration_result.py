@@ -35,7 +35,7 @@ class CalibrationResult(SourceResult):
 
     @property
     def value(self) -> float:
-        """The parameter with the lowest error."""
+        """The most likely parameter."""
         return self.estimate.value
 
     @property

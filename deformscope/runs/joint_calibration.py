@@ -6,7 +6,7 @@ from deformscope.config import BothConfig
 from deformscope.file_io import read_file
 from deformscope.files.pairs import parse_pair
 from deformscope.pictures.material_figures import joint_png
-from deformscope.pictures.messages import value_rows
+from deformscope.pictures.messages import least_aee_rows, value_rows
 from deformscope.pictures.report import Figure, Table
 from deformscope.plain import Json, plain
 from deformscope.runs.pair_calibration import pair_recorder, parse_files
@@ -32,7 +32,7 @@ class JointResult(LibraryResult):
 
     def tables(self) -> tuple[Table, ...]:
         found = self.estimate
-        rows = [*value_rows(found.beta), *value_rows(found.theta)]
+        rows = [row for one in (found.beta, found.theta) for row in (*value_rows(one), *least_aee_rows(one))]
         rows.append(("correlation", f"{found.correlation:+.2f}"))
         rows.append(("stiffness", found.beta.stiffness_text()))
         if found.beta.explained is not None:

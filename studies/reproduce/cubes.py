@@ -184,7 +184,7 @@ def as_json(
         ],
         "theta_rises": rises(found),
         "theta_rises_to_bound": rises(found, to_bound=True),
-        "aee_m_most": max(one.theta.aee for one in found),
+        "aee_m_most": max(one.aee for one in found),
         "over_grid_most": max(one.over_grid for one in found),
         "ratio_most": max(
             (one.ratio for one in found if one.ratio is not None and one.cube.poisson >= 0.25), default=None

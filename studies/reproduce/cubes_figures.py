@@ -96,7 +96,7 @@ def draw_errors(path: Path, found: Sequence[CubeResult]) -> None:
                 colour = COLOURS[resolutions.index(one.cube.resolution) % len(COLOURS)]
                 line = LINES[depths.index(depth_of(one.cube, depths)) % len(LINES)]
                 panel.plot(one.curve.parameter, 100.0 * one.curve.aee, line, color=colour, linewidth=1.2)
-                panel.plot([one.theta.value], [100.0 * one.theta.aee], "o", color=colour, markersize=4, clip_on=False)
+                panel.plot([one.value], [100.0 * one.aee], "o", color=colour, markersize=4, clip_on=False)
                 for ended in one.searches[-1:]:
                     panel.plot([ended.value], [100.0 * ended.aee_m], "x", color=colour, markersize=6, clip_on=False)
             panel.set(title=f"Poisson's ratio {ratio:g}", xlabel="theta", ylabel="AEE [cm]", xlim=(0.0, 1.0))
@@ -121,9 +121,9 @@ def draw_resolution(path: Path, found: Sequence[CubeResult]) -> None:
             )
             share = [100.0 * len(one.cube.seen.held) / len(one.cube.seen.rest) for one in group]
             colour = COLOURS[number % len(COLOURS)]
-            panel.plot(share, [one.theta.value for one in group], "o-", color=colour, markersize=4)
+            panel.plot(share, [one.value for one in group], "o-", color=colour, markersize=4)
             panel.plot(share, [one.equal_share_theta for one in group], "s:", color=colour, markersize=4)
-            at = share[-1], group[-1].theta.value
+            at = share[-1], group[-1].value
             panel.annotate(f"nu = {ratio:g}", at, (4, -11), textcoords="offset points", color=colour)
         panel.set(
             title=f"theta and resolution, pressed {depth_name(depths[-1])}",
@@ -147,7 +147,7 @@ def draw_clusters(path: Path, found: Sequence[CubeResult], cluster_size: int) ->
         for number, name in enumerate(resolutions):
             group = sorted((one for one in some if one.cube.resolution == name), key=lambda one: one.cube.poisson)
             ratio, colour = [one.cube.poisson for one in group], COLOURS[number % len(COLOURS)]
-            single = [100.0 * one.theta.aee for one in group]
+            single = [100.0 * one.aee for one in group]
             both = [100.0 * one.one_cluster.aee for one in group if one.one_cluster]
             clustered = [100.0 * one.overlapping.aee for one in group if one.overlapping]
             left.plot(ratio, single, "o-", color=colour, markersize=4)
@@ -166,7 +166,7 @@ def draw_clusters(path: Path, found: Sequence[CubeResult], cluster_size: int) ->
         left.legend(handles=handles, fontsize="small")
         sided = [one for one in some if one.cube.seen.shape is not None and len(one.cube.seen.shape) == 3]
         if sided:
-            _draw_side(right, max(sided, key=lambda one: (one.theta.aee, len(one.cube.seen.rest))), many)
+            _draw_side(right, max(sided, key=lambda one: (one.aee, len(one.cube.seen.rest))), many)
 
 
 def _draw_side(panel: Any, one: CubeResult, many: str) -> None:
@@ -218,8 +218,8 @@ def cube_rows(found: Sequence[CubeResult]) -> list[dict[str, object]]:
     for one in found:
         low, high = one.theta.interval
         row: dict[str, object] = {"poisson": one.cube.poisson, "resolution": one.cube.resolution}
-        row |= {"particles": len(one.cube.seen.rest), "depth_m": one.cube.depth, "theta": one.theta.value}
-        row |= {"low": low, "high": high, "verdict": one.theta.verdict, "aee_m": one.theta.aee}
+        row |= {"particles": len(one.cube.seen.rest), "depth_m": one.cube.depth, "theta": one.value}
+        row |= {"low": low, "high": high, "verdict": one.theta.verdict, "aee_m": one.aee}
         row |= {"grid_theta": one.grid_theta, "grid_aee_m": one.grid_aee, "equal_share_theta": one.equal_share_theta}
         for name, fit in (("one_cluster", one.one_cluster), ("clusters", one.overlapping)):
             values = (None,) * 3 if fit is None else (fit.beta, fit.theta, fit.aee)
@@ -255,7 +255,7 @@ def search_rows(found: Sequence[CubeResult]) -> list[dict[str, Any]]:
     rows = []
     for one in found:
         named = {"poisson": one.cube.poisson, "resolution": one.cube.resolution, "depth_m": one.cube.depth}
-        rows += [{**named, **asdict(by), "theta_off": abs(by.value - one.theta.value)} for by in one.searches]
+        rows += [{**named, **asdict(by), "theta_off": abs(by.value - one.value)} for by in one.searches]
     return rows
 
 

@@ -233,7 +233,7 @@ def trend(results: Sequence[FoamResult], source: Source, held: Held, cluster_siz
     """Whether beta falls with firmness, and whether the intervals support it."""
     ordered = sorted(results, key=lambda result: result.foam.hardness)
     found = [result.fit(source, held, cluster_size).estimate for result in ordered]
-    value = np.array([one.value for one in found])
+    value = np.array([one.least_aee[0] for one in found if one.least_aee])  # as the thesis has it
     low, high = max(one.interval[0] for one in found), min(one.interval[1] for one in found)
     correlation = rank_correlation(np.array([result.foam.hardness for result in ordered]), value)
     if low <= high:

@@ -21,6 +21,7 @@ from deformscope.errors import InputError
 from deformscope.files.arrays_file import read_arrays
 from deformscope.files.pairs import parse_pair
 from deformscope.lab.elasticity import ElasticBox
+from deformscope.stages.fit.at_value import simulate
 from deformscope.stages.fit.calibrate import calibrate
 from deformscope.stages.fit.distance import distances
 from deformscope.stages.fit.estimate import Curve, Estimate
@@ -102,11 +103,12 @@ class CubeFit:
 class CubeResult:
     """Result of one cube.
 
-    theta: the calibration; curve: the dense grid's errors, thinned; grid_theta, grid_aee: its lowest [m]
+    theta: the calibration, which has the thesis's theta beside the most likely one
+    curve: the dense grid's errors, thinned; grid_theta, grid_aee: its lowest [m]
     one_cluster, overlapping: lowest error with beta fitted too; None without this comparison
     searches: the thesis's searches and that of deformscope on the same errors
     equal_share_theta: theta of the lowest error if the held particles have `HELD_SHARE` of the body's mass
-    simulated: (K, d) positions at theta; seconds: duration of the calibration [s]"""
+    simulated: (K, d) positions at the thesis's theta; seconds: duration of the calibration [s]"""
 
     cube: Cube
     theta: Estimate
@@ -121,14 +123,26 @@ class CubeResult:
     searches: tuple[SearchOutcome, ...] = ()
 
     @property
+    def value(self) -> float:
+        """The thesis's theta, that of the least AEE."""
+        assert self.theta.least_aee is not None
+        return self.theta.least_aee[0]
+
+    @property
+    def aee(self) -> float:
+        """The least AEE [m]."""
+        assert self.theta.least_aee is not None
+        return self.theta.least_aee[1]
+
+    @property
     def over_grid(self) -> float:
         """Relative excess of the calibration's error over the dense grid's lowest; below 0 if it is lower."""
-        return self.theta.aee / self.grid_aee - 1.0 if self.grid_aee > 0.0 else 0.0
+        return self.aee / self.grid_aee - 1.0 if self.grid_aee > 0.0 else 0.0
 
     @property
     def ratio(self) -> float | None:
         """Error of overlapping clusters over that of a single cluster with theta only."""
-        return None if self.overlapping is None else self.overlapping.aee / self.theta.aee
+        return None if self.overlapping is None else self.overlapping.aee / self.aee
 
 
 # The cubes -----------------------------------------------------------------------------------------------------------
@@ -233,18 +247,20 @@ def examine(cube: Cube, options: CubeFit, compare: bool) -> CubeResult:
         fit = FitOptions(model, (0.0, 1.0), options.method, level=options.level, seed=options.seed)
         found = calibrate([cube.seen], fit)
         seconds = time.perf_counter() - began
+        assert found.estimate.least_aee is not None
+        thesis = found.estimate.least_aee[0]
         curve = dense_curve(cube.seen, model.body(cube.seen), model.beta)
         low = int(np.nanargmin(curve.aee))
         one = both = None
         if compare:
             body = model.body(cube.seen)
-            one = _fit_both(cube.seen, body, (model.beta, found.estimate.value), "scale")
+            one = _fit_both(cube.seen, body, (model.beta, thesis), "scale")
             small = Model("theta", "linear", options.cluster_size, volume="project").body(cube.seen)
             both = _fit_both(cube.seen, small, (0.9, 0.5), "project")
         return CubeResult(
             cube=cube,
             theta=found.estimate,
-            simulated=found.comparisons[0].simulated,
+            simulated=simulate(cube.seen, model, np.array([thesis]))[0].simulated,
             curve=Curve(curve.parameter[::20], curve.aee[::20]),
             grid_theta=float(curve.parameter[low]),
             grid_aee=float(curve.aee[low]),
@@ -331,8 +347,8 @@ def spreads(found: Sequence[CubeResult], of: Callable[[Cube], str] = lambda _: "
             poisson,
             name,
             len(group),
-            float(np.mean([one.theta.value for one in group])),
-            standard_error(one.theta.value for one in group),
+            float(np.mean([one.value for one in group])),
+            standard_error(one.value for one in group),
             standard_error(one.equal_share_theta for one in group),
         )
         for (poisson, name), group in sorted(groups.items(), key=lambda item: item[0][0])
@@ -346,7 +362,7 @@ def rises(found: Sequence[CubeResult], *, to_bound: bool = False) -> bool:
     series: dict[tuple[str, float], list[tuple[float, float]]] = {}
     for one in found:
         key = one.cube.resolution, depth_of(one.cube, depths)
-        value = one.theta.value
+        value = one.value
         if to_bound and value >= one.theta.bounds[1]:
             value += one.cube.poisson  # any further ratio counts as a rise
         series.setdefault(key, []).append((one.cube.poisson, value))
@@ -371,7 +387,7 @@ def model_times(found: Sequence[CubeResult], repeats: int = 15) -> list[ModelTim
         every.setdefault(one.cube.resolution, []).append(one)
     times = []
     for name, group in every.items():
-        seen, theta = group[-1].cube.seen, group[-1].theta.value
+        seen, theta = group[-1].cube.seen, group[-1].value
         model = Model("theta", "quadratic", None)
         body, held = model.body(seen), seen.deformed[seen.held]
         step = (

@@ -70,7 +70,7 @@ def test_several_pairs(pair: Path, tmp_path: Path) -> None:
     apart, page, _ = summaries(["calibrate", "beta", str(pair), str(other)], tmp_path)
     assert page.tags.count("img") == 6
     assert page.words.count("identified: beta is") >= 4
-    assert "Where the model of other.npz is wrong" in page.words
+    assert "other.npz: The largest error is" in page.words
     assert "Calibration of beta: 2 pairs" in page.words
     assert apart.shape[0] > 1000  # two rows
 

@@ -85,7 +85,7 @@ def test_a_posterior_that_peaks_elsewhere_than_the_lowest_error_says_so() -> Non
         said.append([] if legend is None else [text.get_text() for text in legend.get_texts()])
     assert said[0] == []
     assert any("most likely" in one and "0.25" in one for one in said[1])
-    assert any(f"lowest error: {estimate().value:.3g}" in one for one in said[1])
+    assert any(f"estimate: {estimate().value:.3g}" in one for one in said[1])
     assert said[2] == []  # what the interval leaves out is not marked
 
 

@@ -110,8 +110,10 @@ def calibrate(
     with threadpool_limits(1):  # small matrices: more threads cost time, and change the last digits
         inference = Inference(judged, options.seed)
         inferred = inference.run(progress)
-    best = fit.best()
-    value = float(fit.tried.parameter[best])
+    value = inferred.posterior.mode()
+    best = int(fit.rows_of(np.array([value]))[0])
+    least = fit.best()
+    least_aee = float(fit.tried.parameter[least]), float(fit.error()[least])
     ends = inferred.posterior.shortest(options.level, value)
     used["noise"] = inferred.noise
     used["noise_source"] = doubts.noise_source(seen)
@@ -122,7 +124,8 @@ def calibrate(
     supported = (fit.tried.parameter >= ends[0]) & (fit.tried.parameter <= ends[1])
     converged = inferred.converged and bool(fit.tried.converged[supported].all())
     shown = [*options.doubts, *shape_doubts(seen)]
-    shown += _in_residuals(judged, best, inference) if pace is None and converged else []
+    if pace is None and converged:
+        shown += _in_residuals(judged, int(judged.rows_of(np.array([value]))[0]), inference)
     shown += either if "two-materials" not in (one.code for one in shown) else []
     # frames of a motion carry no force
     k = None if one_motion else _stiffness(fit, best, supported, inferred, options.level)
@@ -133,13 +136,13 @@ def calibrate(
         (model.parameter, value, ends),
         options,
         floor=inference.floor,
-        rank=inferred.posterior.rank(value),
         converged=converged,
         found=shown,
         added=held_off(seen, stated),
         stiffness=k,
         contact_stiffness=None if one_motion else contact_stiffness(seen, options.level),
         aee=float(fit.only(np.arange(len(seen)), np.ones(len(seen))).error()[best]),
+        least_aee=least_aee,
         curve=Curve(drawn, fit.error()[fit.rows_of(drawn)]),
         settings={**used, **(settings or {})},
     )
@@ -215,7 +218,7 @@ def estimate_of(
     options: FitOptions,
     *,
     floor: float,
-    rank: float | None = None,
+    least_aee: tuple[float, float],
     converged: bool,
     found: Sequence[Doubt],
     added: Iterable[Doubt] = (),
@@ -224,7 +227,7 @@ def estimate_of(
 ) -> Estimate:
     """The estimate of one fitted parameter, its value and interval, with its verdicts.
 
-    floor: least noise [unit]; rank: as in `found_in_numbers`; found: further doubts; added: doubts that follow those of
+    floor: least noise [unit]; least_aee: as in `Estimate`; found: further doubts; added: doubts that follow those of
     the numbers and the shapes; given: the remaining fields of the `Estimate`"""
     parameter, value, ends = fitted
     bounds, simulated = options.bounds, [c.simulated for c in comparisons]
@@ -235,9 +238,10 @@ def estimate_of(
         misfit=float(np.sqrt(np.mean([one.misfit() ** 2 for one in inferred.explanations]))),
     )
     noise = doubts.residual_ratio(seen, simulated, floor), inferred.noise, doubts.noise_source(seen)
-    judge = partial(doubts.found_in_numbers, parameter, value, ends, bounds, known, converged=converged, seen=seen)
+    judge = partial(doubts.found_in_numbers, parameter, ends, known, converged=converged, seen=seen)
+    ranked = least_aee[0], inferred.posterior.rank(least_aee[0])
     here = [doubts.setting(seen, options.model, known.misfit, inferred.noise)] if parameter == "theta" else []
-    reasons = doubts.ordered([*judge(noise=noise, rank=rank), *found, *here, *added])
+    reasons = doubts.ordered([*judge(noise=noise, least_aee=ranked), *found, *here, *added])
     of_stiffness = doubts.of_stiffness(reasons)
     free = [distances(c.simulated, c.observed)[s.free_observed] for c, s in zip(comparisons, seen, strict=True)]
     return Estimate(
@@ -249,6 +253,7 @@ def estimate_of(
         verdict=verdict(ends, bounds, known, reasons),
         stiffness_verdict="unidentified" if stiffness is None else relative_verdict(*stiffness, of_stiffness),
         aee_free=float(np.concatenate(free).mean()),
+        least_aee=least_aee,
         nearest=float(np.mean([nearest_error(c.simulated[c.seen], c.observed[c.seen]) for c in comparisons])),
         unit=seen[0].unit,
         metres_per_unit=seen[0].metres_per_unit,

@@ -5,9 +5,9 @@ Which of them lower a verdict, and why:
 - `not-converged`, less than 30 % of the motion explained (`nothing-moved` where all of it is noise, or `rigid-motion`),
   rest and deformed of two sizes, columns swapped or mirrored, two materials: the value describes nothing in the data,
   so the parameter is unidentified.
-- Less than 75 % explained (half of the motion, root mean square, is left) with more than noise left, a value on the end
-  of a narrow interval, residuals ten times as large as the stated noise, theta with a misfit above the noise. Such
-values depend on the error measure or on the body's load, so that the verdict is at most weak.
+- Less than 75 % explained (half of the motion, root mean square, is left) with more than noise left, a least AEE
+  outside of a narrow interval, residuals ten times as large as the stated noise, theta with a misfit of half the noise.
+  Such values depend on the error measure or on the body's load, so that the verdict is at most weak.
 - The interval accounts for other contradictions of a stated noise, because it is computed from the residuals: they are
 only named.
 - A body of an unlikely size has the same beta and theta in any unit: it is named, and its stiffness is at most weak."""
@@ -68,40 +68,33 @@ seeds (`studies.seeds`): the squares of 750 bodies with right columns were no le
 BULGES = (0.1, 0.2, 0.35, 0.5, 0.75, 1.0)
 """Values of theta at which a body may bulge instead."""
 
-NEGLIGIBLE = 1e-3
-"""Share of a push below which a misfit does not change theta."""
+NEGLIGIBLE, MISFIT_LEAST = 1e-3, 0.5
+"""Share of a push below which a misfit does not change theta, and share of the noise from which it does."""
 
 TAIL = 0.005
 """Mass of a posterior beyond a value, below which the value contradicts it."""
 
-END = 0.01
-"""Share of the interval's width: a value nearer to an end counts as on it."""
-
 
 def found_in_numbers(
     name: str,
-    value: float,
     ends: tuple[float, float],
-    bounds: tuple[float, float],
     identifiability: Identifiability,
     *,
     converged: bool,
     noise: tuple[float | None, float | None, NoiseSource] = (None, None, "residuals"),
-    rank: float | None = None,
+    least_aee: tuple[float, float] | None = None,
     seen: Sequence[Observation] = (),
 ) -> list[Doubt]:
-    """The doubts that the numbers of a fit within its bounds show.
+    """The doubts that the numbers of a fit show.
 
     noise: residuals in units of the known noise, if any; their own noise [unit], if it is known apart from misfit;
-    source of the known noise; rank: mass of the posterior below the value, if any; seen: as in `little_explained`"""
+    source of the known noise; least_aee: as in `aee_outside`; seen: as in `little_explained`"""
     ratio, shown, source = noise
-    # on the end of a wide interval a value is one of many that fit, and the reason has no verdict to lower
-    sharp = ends[1] - ends[0] < IDENTIFIED_WIDTH
     left_is_noise = shown is not None and identifiability.misfit < shown if ratio is None else ratio < LIKE_NOISE
     return [
         *not_converged(converged),
         *little_explained(identifiability.explained, left_is_noise=left_is_noise, seen=seen),
-        *(value_at_end(name, value, ends, bounds, rank) if sharp else ()),
+        *aee_outside(name, ends, least_aee),
         *noise_contradicted(ratio, source),
     ]
 
@@ -200,24 +193,14 @@ def _still(seen: Sequence[Observation], share: float) -> str:
     return f"nothing moved: the held particles by {held:.2g} {unit} at most, {MOST:.0%} of all by {moved_most}{noisy}"
 
 
-def value_at_end(
-    name: str, value: float, ends: tuple[float, float], bounds: tuple[float, float], rank: float | None = None
-) -> Iterator[Doubt]:
-    """The value of least mean distance may be at the end of the likelihood's interval, extended to include it. rank:
-    mass of the posterior below the value; a value outside of the tails is not contradicted"""
-    low, high = ends
-    if rank is not None and TAIL < rank < 1.0 - TAIL:
+def aee_outside(name: str, ends: tuple[float, float], least_aee: tuple[float, float] | None) -> Iterator[Doubt]:
+    """least_aee: the value of least AEE, and the mass of the posterior below it. One in the tails contradicts the
+    posterior; outside of a wide interval it is one of many that fit, and there is no verdict to lower."""
+    if least_aee is None or TAIL < least_aee[1] < 1.0 - TAIL or ends[1] - ends[0] >= IDENTIFIED_WIDTH:
         return
-    slack = END * (high - low)
-    if high <= low or value <= bounds[0] + slack or value >= bounds[1] - slack:
-        return
-    if value - low <= slack or high - value <= slack:
-        other = high if value - low <= slack else low
-        text = (
-            f"the {name} of least mean distance, {value:.3g}, lies on the end of its interval: the likelihood "
-            f"puts it towards {other:.3g}, so the value depends on how errors are summed"
-        )
-        yield Doubt("value-at-interval-end", text, "weak")
+    if not ends[0] <= least_aee[0] <= ends[1]:
+        text = f"the {name} of least mean distance (AEE), {least_aee[0]:.3g}, is outside of its interval: the value "
+        yield Doubt("aee-outside-interval", f"{text}depends on how errors are summed", "weak")
 
 
 def residual_ratio(seen: Sequence[Observation], simulated: Sequence[FloatArray], floor: float) -> float | None:
@@ -397,7 +380,7 @@ def swapped_axes(
 
 
 def setting(seen: Sequence[Observation], model: Model, misfit: float, noise: float) -> Doubt:
-    """The setting for which theta is valid; with misfit above noise [unit], another depth gives another theta."""
+    """The setting for which theta is valid; with misfit of half the noise [unit] another depth gives another theta."""
     share = max(push_share(one) for one in seen)
     least = NEGLIGIBLE * share * max(size_of(one.rest) for one in seen)
     many = ", ".join(dict.fromkeys(str(len(one.rest)) for one in seen))
@@ -408,7 +391,7 @@ def setting(seen: Sequence[Observation], model: Model, misfit: float, noise: flo
         f"theta holds for this setting: a push of {share:.0%} of the body's size, {many} particles in {group}{fixed}; "
         "another depth or resolution gives another value"
     )
-    return Doubt("setting", text, "weak" if misfit > max(noise, least) else None)
+    return Doubt("setting", text, "weak" if misfit > max(MISFIT_LEAST * noise, least) else None)
 
 
 def push_share(seen: Observation) -> float:

@@ -41,7 +41,7 @@ DoubtCode = Literal[
     "nothing-moved",
     "rigid-motion",
     "little-explained",
-    "value-at-interval-end",
+    "aee-outside-interval",
     "noise-contradicted",
     "units",
     "axes-swapped",
@@ -127,6 +127,17 @@ class Posterior:
         rising = np.concatenate([[True], np.diff(mass) > 0.0])
         return np.asarray(np.interp(share, mass[rising], self.parameter[rising]))
 
+    def mode(self) -> float:
+        """Value of the highest density, between the values by a parabola through its logarithm."""
+        top = int(np.argmax(self.density))
+        near = self.density[top - 1 : top + 2]
+        if not 0 < top < len(self.density) - 1 or near.min() <= 0.0:
+            return float(self.parameter[top])
+        step = self.parameter[top - 1 : top + 2] - self.parameter[top]
+        bend, slope, _ = np.polyfit(step, np.log(near), 2)
+        away = -0.5 * slope / bend if bend < 0.0 else 0.0
+        return float(self.parameter[top] + np.clip(away, step[0], step[2]))
+
     def deviation(self) -> float:
         """Standard deviation."""
         mean = np.trapezoid(self.density * self.parameter, self.parameter)
@@ -198,8 +209,9 @@ def _with_interval(one: WithInterval) -> dict[str, object]:
 class Estimate(ReportedResult):
     """One calibrated parameter with everything needed to judge it (Thesis eq. 3.18, 3.19, Algorithms 2 and 3).
 
-    value: the parameter with the lowest error; interval: interval at `level`, which always contains `value`; one-sided
-    at a bound; bounds: the range that was searched
+    value: the most likely parameter, the mode of its posterior (with white noise that of least squares); interval:
+    interval at `level` of that posterior, which always contains `value`; one-sided at a bound; bounds: searched range
+    least_aee: the thesis's value, that of the least AEE (Algorithm 3), and this AEE [unit]; None where not searched
     verdict: verdict on the parameter; stiffness_verdict: verdict on stiffness, which positions alone do not identify
     stiffness: the energy's stiffness k and its interval over `interval` [N/m], if a force was given
     contact_stiffness: force over the displacement of the contact, and its interval [N/mm], if both are known
@@ -283,6 +295,7 @@ class Estimate(ReportedResult):
     aee: float
     aee_free: float
     nearest: float
+    least_aee: tuple[float, float] | None = None
     unit: LengthUnit
     metres_per_unit: float | None = 1.0
 
@@ -293,6 +306,15 @@ class Estimate(ReportedResult):
         known = {name: getattr(self, name) for name in ("aee", "aee_free", "nearest")}
         each = [lengths(name, value, self.unit, self.metres_per_unit) for name, value in known.items()]
         return {key: one[key] for place in (0, 1) for one in each for key in [[*one][place]]}
+
+    @property
+    @derived(key="least_aee", optional=True)
+    def least_aee_json(self) -> dict[str, float | None] | None:
+        """The thesis's value with its AEE, in the units of the errors."""
+        if self.least_aee is None:
+            return None
+        value, aee = self.least_aee
+        return {self.parameter: value} | lengths("aee", aee, self.unit, self.metres_per_unit)
 
     curve: Curve
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, RectBivariateSpline
 from scipy.special import logsumexp
 from threadpoolctl import threadpool_limits
 
@@ -34,6 +34,8 @@ BETWEEN = 3
 
 RESOLVED, NARROWEST, ZOOMS = 0.3, 1e-7, 8
 """The grid is narrowed until the posterior fills this share of it, or to this range, at most so often."""
+
+JOINTLY: tuple[Parameter, Parameter] = ("beta", "theta")
 
 SUMMARIES = 5
 """Most directions that represent the effect of beta and theta on the particles."""
@@ -61,9 +63,10 @@ class JointOptions:
 
 @dataclass(frozen=True, slots=True)
 class JointEstimate:
-    """beta and theta of lowest error, and their posterior.
+    """The most likely beta and theta, and their posterior.
 
-    beta, theta: each with its marginal posterior; its curve is the least error over the other
+    beta, theta: each with its marginal posterior; `least_aee` of both is of one pair; its curve is the least error
+    over the other
     density: (b, t) joint posterior over `beta.posterior.parameter` and `theta.posterior.parameter`, whose integral is 1
     correlation: correlation of the two in the posterior"""
 
@@ -74,7 +77,7 @@ class JointEstimate:
 
     def as_json(self) -> dict[str, object]:
         """The public form: common values as in the estimate of one parameter, and those of each under `parameters`."""
-        own = ("value", "interval", "bounds", "verdict", "verdict_text", "reasons", "curve")
+        own = ("value", "least_aee", "interval", "bounds", "verdict", "verdict_text", "reasons", "curve")
         each = {one.parameter: one.as_json() for one in (self.beta, self.theta)}
         shared = {k: v for k, v in each["beta"].items() if k not in (*own, "parameter", "posterior")}
         assert self.beta.posterior is not None
@@ -199,7 +202,8 @@ class _Joint:
             part.weigh(likelihood, scale, over / over.sum())
         if misfit_outweighs(self.parts):
             b, t, total, rise = self.narrowed(progress, explain=False)
-        beta, theta, aee = self.best()
+        *least, least_aee = self.best()
+        beta, theta = self._mode(b, t, total)
         grid = self.shrink(b)
         density = np.exp(total - total.max())
         density /= np.trapezoid(np.trapezoid(density, t, axis=1), grid)
@@ -207,6 +211,7 @@ class _Joint:
         over = (density * np.gradient(grid)[:, None] * np.gradient(t)).ravel()
         explanations = tuple(part.explanation for part in self.parts)
         states = self.simulate(np.array([beta]), np.array([theta]))
+        aee = float(self.tried[-1, 2])
         comparisons = tuple(
             Comparison(s.rest, s.deformed, state[0], s.observed, s.held, s.unit)
             for s, state in zip(self.seen, states, strict=True)
@@ -218,13 +223,23 @@ class _Joint:
             for marginal, separation in zip(each, rise, strict=True)
         ]
         doubts = [*shape_doubts(self.seen), *(self._in_residuals(beta, theta, comparisons) if self.converged else ())]
-        of_beta = self._estimate("beta", beta, found[0], comparisons, aee, k, doubts)
-        of_theta = self._estimate("theta", theta, found[1], comparisons, aee, k, doubts)
+        of_beta, of_theta = (
+            self._estimate(name, value, (at, least_aee), one, comparisons, aee, k, doubts)
+            for name, value, at, one in zip(JOINTLY, (beta, theta), least, found, strict=True)
+        )
         mean_b, mean_t = (float(np.sum(over * x) / over.sum()) for x in self._flat(grid, t))
         gb, gt = self._flat(grid - mean_b, t - mean_t)
         spread = np.sqrt(np.sum(over * gb**2) * np.sum(over * gt**2))
         correlation = float(np.sum(over * gb * gt) / spread) if spread > 0.0 else 0.0
         return JointEstimate(of_beta, of_theta, density, correlation), comparisons
+
+    def _mode(self, b: FloatArray, t: FloatArray, total: FloatArray) -> tuple[float, float]:
+        """The most likely beta and theta, between the grid's values (b,), (t,) by splines. total: (b, t)"""
+        row, column = divmod(int(total.argmax()), len(t))
+        near = [np.linspace(x[max(i - 1, 0)], x[min(i + 1, len(x) - 1)], 41) for x, i in ((b, row), (t, column))]
+        fine = RectBivariateSpline(b, t, np.maximum(total, total.max() - DROP))(*near)
+        row, column = divmod(int(fine.argmax()), len(near[1]))
+        return float(self.shrink(near[0][row])), float(near[1][column])
 
     def best(self) -> tuple[float, float, float]:
         """beta, theta and the error where it is lowest: the best tried, then grids of 5 x 5 around it, ever finer."""
@@ -306,6 +321,7 @@ class _Joint:
         self,
         name: Parameter,
         value: float,
+        least_aee: tuple[float, float],
         inferred: Inferred,
         comparisons: Sequence[Comparison],
         aee: float,
@@ -325,6 +341,7 @@ class _Joint:
             (name, value, inferred.posterior.shortest(options.level, value)),
             FitOptions(options.model, bounds, level=options.level),
             floor=max(part.measured.floor for part in self.parts),
+            least_aee=least_aee,
             converged=self.converged,
             found=doubts,
             stiffness=k,

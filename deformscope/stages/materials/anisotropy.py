@@ -212,11 +212,11 @@ class _AxisFit:
         floor = max(10.0 * TOLERANCE[body.precision] * body.extent for body in self.bodies)
         ratio = residual_ratio(self.seen, self.positions(best), floor)
         common = [*shape_doubts(self.seen), *(self._in_residuals(best) if converged else ())]
-        limits, noise = (0.0, BETA_LIMIT), (ratio, None, noise_source(self.seen))
+        noise = ratio, None, noise_source(self.seen)
         found = []
-        for at, (low, high), one in zip(best.at, ends, identifiability, strict=True):
-            beta, own = float(-np.expm1(-at)), (float(low), float(high))
-            numbers = found_in_numbers("beta", beta, own, limits, one, converged=converged, noise=noise, seen=self.seen)
+        for (low, high), one in zip(ends, identifiability, strict=True):
+            own = float(low), float(high)
+            numbers = found_in_numbers("beta", own, one, converged=converged, noise=noise, seen=self.seen)
             found.append(ordered([*numbers, *common]))
         return tuple(found)
 

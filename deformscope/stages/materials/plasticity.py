@@ -85,7 +85,7 @@ def fit_yield(motion: Motion, options: YieldOptions | None = None, progress: Pro
     converged = bool(best.converged and np.isfinite(best.jacobian).all())
     simulated = histories.history(best.at)
     explained = histories.explained(simulated)
-    reasons = yield_doubts(histories, best, simulated, value, (low, high_end), explained, converged=converged)
+    reasons = yield_doubts(histories, best, simulated, explained, converged=converged)
     verdict = relative_verdict(value, (low, np.inf if high_end is None else high_end), reasons)
     if verdict != "unidentified" and value <= LEAST_SHARE * largest * 1.001:
         verdict = "at-bound"

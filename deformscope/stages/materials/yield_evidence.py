@@ -17,7 +17,6 @@ from deformscope.stages.fit.doubts import (
     ordered,
     residual_ratio,
     swapped_axes,
-    value_at_end,
 )
 from deformscope.stages.fit.estimate import Doubt
 from deformscope.stages.fit.least_squares import Minimum, Noise
@@ -141,24 +140,15 @@ def interval_ends(
 
 
 def yield_doubts(
-    histories: YieldHistories,
-    best: Minimum,
-    simulated: FloatArray,
-    value: float,
-    ends: tuple[float, float | None],
-    explained: float,
-    *,
-    converged: bool,
+    histories: YieldHistories, best: Minimum, simulated: FloatArray, explained: float, *, converged: bool
 ) -> tuple[Doubt, ...]:
-    """Reasons to doubt the yield strain. simulated: (T, K, d) at the best; ends: ends of its interval"""
-    high = np.inf if ends[1] is None else ends[1]
+    """Reasons to doubt the yield strain. simulated: (T, K, d) at the best"""
     rows = np.flatnonzero(histories.judged.any(axis=1))
     frames = [histories.frame(row) for row in rows]
     ratio = residual_ratio(frames, list(simulated[rows]), histories.resolved)
     found = [
         *not_converged(converged),
         *little_explained(explained, left_is_noise=ratio is not None and ratio < LIKE_NOISE, seen=frames),
-        *value_at_end("yield strain", value, (ends[0], high), (0.0, np.inf)),
         *noise_contradicted(ratio, histories.motion.noise_source),
         *shape_doubts(frames),
     ]

@@ -172,7 +172,7 @@ def conclude(
         deviation=posterior.deviation(),
         misfit=misfit / np.sqrt(fit.pokes[0].components),
     )
-    reasons = ordered(found_in_numbers("beta", best.law.beta, ends, bounds, identified, converged=best.converged))
+    reasons = ordered(found_in_numbers("beta", ends, identified, converged=best.converged))
     k = _stiffness(fit, profile, posterior, level)
     force, depth = (np.array(each) for each in zip(*((one.force or 0.0, one.depth) for one in fit.pokes), strict=True))
     model = model_of(fit, provenance)

@@ -40,6 +40,17 @@ def test_an_estimate_far_out_begins_or_ends_the_set() -> None:
     assert high == pytest.approx(norm.ppf(0.9, 0.5, 0.02), abs=1e-3)
 
 
+@pytest.mark.parametrize("mode", [0.5, 0.5001, 0.50017, 0.5003])
+def test_the_mode_lies_between_the_values_of_the_grid(mode: float) -> None:
+    grid = np.linspace(0.45, 0.55, 101)
+    assert estimate.Posterior(grid, norm.pdf(grid, mode, 0.01)).mode() == pytest.approx(mode, abs=1e-9)
+
+
+def test_the_mode_may_be_a_bound() -> None:
+    assert gaussian(-0.1, 0.1).mode() == 0.0
+    assert gaussian(1.2, 0.1).mode() == 1.0
+
+
 def test_ranks_and_quantiles_are_inverse() -> None:
     posterior = gaussian(0.3, 0.1)
     for mass in (0.05, 0.5, 0.95):

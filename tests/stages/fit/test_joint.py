@@ -8,6 +8,7 @@ from deformscope.errors import InputError
 from deformscope.stages.fit.calibrate import Model, Observation
 from deformscope.stages.fit.joint import JointOptions, calibrate_both
 from deformscope.stages.msm import reference
+from studies.reproduce.pressed_cubes import thesis_cubes
 from tests.stages import reference_states
 from tests.stages.bodies import Pushed, lattice, pushed
 
@@ -36,6 +37,30 @@ def test_exact_data_give_both_values() -> None:
     assert found.beta.interval[0] <= found.beta.value <= found.beta.interval[1]
     assert found.beta.verdict == found.theta.verdict == "identified"
     assert comparisons[0].simulated.shape == body.rest.shape
+
+
+def test_the_most_likely_pair_is_that_of_the_density_and_the_thesis_pair_stands_beside_it() -> None:
+    """Of finite elements, which no pair fits: the two pairs differ."""
+    (cube,), _ = thesis_cubes((0.1,), (4,), (0.02,))
+    found, comparisons = calibrate_both([cube.seen], JointOptions(Model(cluster_size=2, volume="project")))
+    beta, theta = found.beta.posterior.parameter, found.theta.posterior.parameter
+    error = np.linalg.norm(comparisons[0].simulated - comparisons[0].observed, axis=1).mean()
+    row, column = np.unravel_index(found.density.argmax(), found.density.shape)
+    for one, grid, at in ((found.beta, beta, row), (found.theta, theta, column)):
+        assert grid[max(at - 1, 0)] <= one.value <= grid[min(at + 1, len(grid) - 1)]
+        assert one.least_aee[1] < one.aee == pytest.approx(error, rel=1e-9)
+    states = (
+        Model(cluster_size=2)
+        .body(cube.seen)
+        .relax(
+            cube.seen.deformed[cube.seen.held],
+            np.array([found.beta.value, found.beta.least_aee[0]]),
+            np.array([found.theta.value, found.theta.least_aee[0]]),
+            volume="project",
+        )
+    )
+    off = np.linalg.norm(states.position - cube.seen.deformed, axis=2)
+    assert off.mean(axis=1).tolist() == pytest.approx([found.beta.aee, found.theta.least_aee[1]], rel=1e-6)
 
 
 def test_noisy_data_give_sets_that_hold_both_and_a_density_of_mass_one() -> None:
