@@ -103,7 +103,7 @@ class CubeFit:
 class CubeResult:
     """Result of one cube.
 
-    theta: the calibration, which has the thesis's theta beside the most likely one
+    theta: the calibration, whose least AEE is the thesis's
     curve: the dense grid's errors, thinned; grid_theta, grid_aee: its lowest [m]
     one_cluster, overlapping: lowest error with beta fitted too; None without this comparison
     searches: the thesis's searches and that of deformscope on the same errors
