@@ -10,12 +10,13 @@ from typing import Any, Literal
 from deformscope.arrays import FloatArray, ImageArray, IntArray
 from deformscope_drivers.clock import Stamp
 from deformscope_drivers.health import Health, LinkEvent
+from deformscope_drivers.health import PadLayout as PadLayout
+from deformscope_drivers.interface import Kind as Kind
 
 NoteKind = (
     Literal["note", "episode-begin", "episode-end", "tare", "alarm", "alarm-over", "stage", "stage-over"]
     | Literal["discard-episode", "discard-recording"]
 )
-Kind = Literal["color", "depth", "tactile", "wrench", "arm", "hand"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,20 +220,6 @@ class InputFile:
 
 
 @dataclass(frozen=True, slots=True)
-class Pad:
-    """One pad of a tactile sensor. rows, columns: its texels; texel_m: (width, height) size of a texel [m]; index:
-    its place among the device's pads; finger: 0 to 2; part: 0 proximal, 1 distal"""
-
-    name: str
-    rows: int
-    columns: int
-    texel_m: tuple[float, float]
-    index: int
-    finger: int
-    part: int
-
-
-@dataclass(frozen=True, slots=True)
 class Stream:
     """Description of a device before its first frame.
 
@@ -247,7 +234,7 @@ class Stream:
     simulated: bool = False
     serial: str = ""
     firmware: str = ""
-    pads: tuple[Pad, ...] = ()
+    pads: tuple[PadLayout, ...] = ()
     urdf: Path | None = None
     channels: int = 1
     torques: bool = False

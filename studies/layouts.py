@@ -28,7 +28,7 @@ from deformscope_drivers.arm.kinematics import (
     rotation_from_rpy,
     transform,
 )
-from deformscope_drivers.arms import CHAINS
+from deformscope_drivers.arms import chains
 from deformscope_drivers.jaco import JacoConfig, JacoDouble
 from deformscope_drivers.jaco.chains import CHAINS as JACO
 from deformscope_drivers.kuka import KukaConfig, KukaDouble
@@ -74,7 +74,7 @@ class LayoutRun:
 def run_layout(seed: int) -> LayoutRun:
     """Three touches at random places of the table that a seed draws."""
     random = np.random.default_rng([seed, 0x1A])
-    model = str(random.choice(list(CHAINS)))
+    model = str(random.choice(list(chains())))
     tool = Tool(length_m=float(random.uniform(0.08, 0.2)))
     placement = Placement(_table(random), tool)
     places_m = np.append(random.uniform(0.1, 0.9, (TOUCHES, 2)) * SIZE_M, np.full((TOUCHES, 1), TOP_M), axis=1)

@@ -67,6 +67,6 @@ def _format_values(values: tuple[float, ...]) -> str:
 
 
 if __name__ == "__main__":
-    from deformscope_drivers.arms import CHAINS
+    from deformscope_drivers.arms import chains
 
-    sys.stdout.write(urdf_of(CHAINS[sys.argv[1]]))
+    sys.stdout.write(urdf_of(chains()[sys.argv[1]]))

@@ -235,14 +235,14 @@ def _unit_of(name: str) -> str:
 
 def rig_file() -> str:
     """Sections of a rig file with their keys, and the keys of each driver."""
-    from deformscope.rig.driver_table import DRIVERS
     from deformscope.rig.rig_file import SECTIONS
+    from deformscope_drivers.interface import DRIVERS
 
     parts = ["# Keys of a rig file", "A rig file is TOML. [Write a rig file](../howto/write-a-rig-file.md) shows how."]
     for name, kind in SECTIONS.items():
         parts.append(f"## [{name}]\n\n{_summary(kind)}\n\n{_keys(kind)}")
     for name, driver in DRIVERS.items():
-        kind = driver.config_class()
+        kind = driver.config
         parts.append(f'## [devices.NAME], driver = "{name}"\n\n{_summary(kind)}\n\n{_keys(kind)}')
     return "\n\n".join(parts) + "\n"
 

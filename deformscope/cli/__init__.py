@@ -86,6 +86,7 @@ COMMANDS: dict[str, Command] = {
     "arm jog": _command("move the tip by keys, in small steps", "JogConfig", "arm", "jog"),
     "record": _command("record all devices of a rig", "RecordConfig", "recordings", "record"),
     "live": _command("show all devices of a rig", "LiveConfig", "recordings", "live"),
+    "new-device": _command("write a package for a device of your own", "NewDeviceConfig", "new_device"),
     "double": _command("run simulated devices on real transports", "DoubleConfig", "double"),
     "replay": _command("run the same stages on recorded inputs, and compare", "ReplayConfig", "recordings", "replay"),
     "verify": _command("check whether a recording is complete", "VerifyConfig", "recordings", "verify"),

@@ -9,10 +9,10 @@ from typing import Any
 
 from deformscope.cli.common import say, show_table, write_json
 from deformscope.config import DevicesConfig
-from deformscope.rig.driver_table import DRIVERS
 from deformscope_drivers.depth_camera import discover as find_depth_cameras
 from deformscope_drivers.depth_camera import discover_realsense
 from deformscope_drivers.errors import Busy, DeviceError
+from deformscope_drivers.interface import DRIVERS
 from deformscope_drivers.ports import find_can, find_doubles, find_serial, find_usb_arms
 from deformscope_drivers.webcam import discover as find_webcams
 
@@ -82,8 +82,7 @@ def _found() -> list[Any]:
 
 def _listed(found: Any, probe: bool) -> ListedDevice:
     serial, firmware, health = found.serial, found.firmware, ""
-    driver = DRIVERS.get(found.driver)
-    if probe and driver is not None and driver.probed:
+    if probe and found.driver in DRIVERS and DRIVERS[found.driver].probed:
         serial_known, firmware_known, health = _ask(found)
         serial, firmware = serial_known or serial, firmware_known or firmware
     return ListedDevice(found.driver, found.port, found.name, serial, firmware, health, found.note)
@@ -94,11 +93,11 @@ def _ask(found: Any) -> tuple[str, str, str]:
     driver = DRIVERS[found.driver]
     try:
         is_bus = not found.port.startswith("/") and "://" not in found.port
-        config: Any = driver.config_class()
+        config: Any = driver.config
         with driver.make(config(bus=found.port) if is_bus else config(port=found.port)) as device:
             known, serial = device.identity(), ""
-            with suppress(AttributeError, DeviceError):  # some give it only on request, some not at all
-                serial = known.serial or str(device.serial_number())
+            with suppress(DeviceError):  # some give it only on request, some not at all
+                serial = known.serial or device.serial_number()
             try:
                 device.next(PROBE_S)
             except DeviceError as error:

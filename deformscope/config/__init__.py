@@ -38,6 +38,7 @@ from deformscope.config.rigs import (
     ExportConfig,
     ImportConfig,
     LiveConfig,
+    NewDeviceConfig,
     RecordConfig,
     RecoverConfig,
     ReplayConfig,

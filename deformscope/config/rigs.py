@@ -272,6 +272,19 @@ class ImportConfig(RecordedOptions):
 
 
 @dataclass(frozen=True, slots=True)
+class NewDeviceConfig(CommandOptions):
+    """Write a package for a device of your own: driver, double, tests and README. It passes its tests as it is, and
+    works in a rig file after `pip install`. Replace its example by your device."""
+
+    name: Annotated[str, Positional, arg(metavar="NAME")]
+    """Name of the driver in rig files, and of the folder."""
+    kind: Literal["force", "camera"]
+    """force: a force sensor over a serial port; camera: a depth camera through its vendor's library."""
+    out: Annotated[Path, arg(metavar="FOLDER")] = Path()
+    """Folder in which the new folder is written."""
+
+
+@dataclass(frozen=True, slots=True)
 class DoubleConfig(CommandOptions):
     """Run simulated devices with the real protocol and timing, until Ctrl-C; print a rig file that connects to them
     from another terminal."""

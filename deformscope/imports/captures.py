@@ -9,16 +9,14 @@ from deformscope.errors import InputError
 from deformscope.frames import Frame, RawBytes, Stream
 from deformscope.imports.import_map import MappedStream
 from deformscope.imports.readers import Message, Reader, Topic
-from deformscope.rig.decoded import REDECODERS
+from deformscope.rig.decoded import redecoder_of
 from deformscope.rig.measured import to_frame
 from deformscope_drivers.clock import Unwrap
-from deformscope_drivers.dsa.messages import Reading as TactilePacket
+from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.framing import Skipped
 from deformscope_drivers.health import Health, Link
-from deformscope_drivers.optoforce.protocol import Reading as ForcePacket
+from deformscope_drivers.interface import DRIVERS, Redecoder
 
-FED = {"optoforce": "wrench", "dsa": "tactile"}
-"""Drivers whose frames depend only on the bytes that the device sends, and the frames' kind."""
 PIECE_BYTES = 16
 """Size of a piece: that of the shortest reading, so that one of a file without times completes at most one."""
 
@@ -26,12 +24,21 @@ PIECE_BYTES = 16
 def check_capture(stream: MappedStream, topics: Mapping[str, Topic]) -> None:
     """Raises InputError if a stream's driver, kind and topics do not belong together."""
     of_bytes = all(topics[name].type in ("bytes", "candump") for name in stream.topics)
-    if of_bytes and stream.driver not in FED:
-        raise stream.missing("driver", f"one of {', '.join(FED)}", stream.driver)
+    if of_bytes and not _is_fed(stream.driver):
+        raise stream.missing("driver", f"one of {', '.join(filter(_is_fed, DRIVERS))}", stream.driver)
     if stream.driver and not of_bytes:
         raise stream.missing("driver", "none, its topics are not bytes of a device", stream.driver)
-    if stream.driver and stream.kind != FED[stream.driver]:
-        raise stream.missing("kind", f"{FED[stream.driver]}, as {stream.driver} gives", stream.kind)
+    if stream.driver and stream.kind != DRIVERS[stream.driver].kind:
+        raise stream.missing("kind", f"{DRIVERS[stream.driver].kind}, as {stream.driver} gives", stream.kind)
+
+
+def _is_fed(driver: str) -> bool:
+    """Whether a driver's frames depend only on the bytes that the device sends."""
+    try:
+        again = DRIVERS[driver].redecoder
+    except (KeyError, DeviceError):
+        return False
+    return again is not None and again.packet is not None
 
 
 class Counted:
@@ -59,7 +66,7 @@ class CaptureStream(Counted):
     """One device's bytes. config: config of its driver. Raises InputError for what the map must say"""
 
     def __init__(self, stream: MappedStream, config: object, reader: Reader) -> None:
-        if stream.driver == "dsa" and not stream.pads:
+        if stream.kind == "tactile" and not stream.pads:
             raise stream.missing("pads", "name, rows, columns, texel_m, index, finger and part of each", "")
         self.stream, self._config = stream, config
         self._known = Stream(stream.device, stream.kind, stream.driver, pads=stream.pads)
@@ -82,9 +89,10 @@ class CaptureStream(Counted):
     def frames(self, reader: Reader) -> Iterator[Frame | RawBytes]:
         """All bytes, and the frames in them."""
         Counted.__init__(self)
-        again = REDECODERS[self.stream.driver](self._config, self._known)
+        again = redecoder_of(self._known, self._config)
+        assert again is not None
         decoder = again.begin()
-        clock = _Clock(self.stream)
+        clock = _Clock(self.stream, again)
         for message in _pieces(reader, self.stream):
             sent = message.topic in self.stream.topics[1:]
             if sent:
@@ -105,8 +113,8 @@ class CaptureStream(Counted):
 class _Clock:
     """When pieces came: as they say, or by the controller's clock, or by the rate of readings."""
 
-    def __init__(self, stream: MappedStream) -> None:
-        self._stream, self._offset_ns = stream, stream.offset_ns
+    def __init__(self, stream: MappedStream, again: Redecoder) -> None:
+        self._stream, self._again, self._offset_ns = stream, again, stream.offset_ns
         self._readings, self._now_ns, self._first_ms = 0, self._offset_ns, -1
         self._unwrap = Unwrap(1 << 32)
 
@@ -117,11 +125,11 @@ class _Clock:
                 came = f"one {(self._now_ns - ns) / 1e9:.4g} s before the last"
                 raise InputError(f"stamps of {self._stream.device} that only rise", came, "a part of it")
             self._now_ns = ns
-        elif isinstance(event, TactilePacket):
-            ticks = self._unwrap(event.timestamp_ms, 0)
+        elif (time_ms := self._again.time_ms(event)) is not None:
+            ticks = self._unwrap(time_ms, 0)
             self._first_ms = ticks if self._first_ms < 0 else self._first_ms
             self._now_ns = self._offset_ns + (ticks - self._first_ms) * 10**6
-        elif isinstance(event, ForcePacket):
+        elif self._again.packet is not None and isinstance(event, self._again.packet):
             if not self._stream.rate_hz:
                 raise self._stream.missing("rate_hz", "readings a second: bytes without times do not say it", "")
             self._now_ns = self._offset_ns + round(self._readings * 1e9 / self._stream.rate_hz)

@@ -11,7 +11,7 @@ import msgspec
 
 from deformscope.errors import InputError
 from deformscope.file_io import read_file
-from deformscope.frames import Kind, Pad
+from deformscope.frames import Kind, PadLayout
 from deformscope.rig.rig_edit import lines_of, toml_value
 from deformscope.rig.rig_file import SECTIONS
 
@@ -63,7 +63,7 @@ class MappedStream(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     focal_px: tuple[float, float] | None = None
     center_px: tuple[float, float] | None = None
     size_px: tuple[int, int] | None = None
-    pads: tuple[Pad, ...] = ()
+    pads: tuple[PadLayout, ...] = ()
     rate_hz: Annotated[float, msgspec.Meta(ge=0.0, le=1e9)] = 0.0
     driver: str = ""
     config: dict[str, Any] = {}

@@ -22,7 +22,6 @@ from deformscope.lab.container_world import TEXEL_M2, ContainerWorld
 from deformscope.lab.ray_camera import DepthViewConfig, looking_at
 from deformscope.lab.squeeze_lab import NAMES, ContainerCase, SqueezedContainer, SqueezeLab, members
 from deformscope.lab.touch_lab import Spoiled
-from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.rig_file import Workspace
 from deformscope.rig.source import RigMember, RigSource
 from deformscope.robot.description import link_capsules
@@ -33,6 +32,7 @@ from deformscope_drivers.clock import Clock
 from deformscope_drivers.depth_camera import View
 from deformscope_drivers.device import Device
 from deformscope_drivers.dsa.pads import Pad, Part
+from deformscope_drivers.interface import DRIVERS
 from deformscope_drivers.jaco import Jaco, JacoConfig, JacoDouble
 from deformscope_drivers.jaco.chains import J2N6S300
 from deformscope_drivers.kuka import Kuka, KukaConfig, KukaDouble

@@ -36,10 +36,9 @@ from deformscope_drivers.depth_camera import SyntheticDepthCamera, View
 from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig
 from deformscope_drivers.device import Device
 from deformscope_drivers.errors import DeviceError
-from deformscope_drivers.optoforce.config import Sensitivity
-from deformscope_drivers.optoforce.double import OMD_20_SE_40N, OptoforceDouble, Sensors
+from deformscope_drivers.interface import DRIVERS
 from deformscope_drivers.pacing import SENDING, be_prompt
-from deformscope_drivers.wires import PtyWire
+from deformscope_drivers.wires import reaching, wire_for
 
 PARKED_M = 0.18
 PICTURES_HZ = 10
@@ -179,12 +178,9 @@ class LiveLab:
         if entry.driver.kind == "arm":
             return self.arm.arm
         if entry.driver.kind == "wrench":
-            sensitivity = (config.sensitivities or (OMD_20_SE_40N,))[0]
-            pipe = stack.enter_context(child_process("simulated table", _feel, self._table, self._shared, sensitivity))
-            on_pipe = dataclasses.replace(
-                config, port=first_message(pipe, "table"), bus="", serial="", sensitivity=sensitivity
-            )
-            return entry.driver.make(on_pipe)  # type: ignore[no-any-return]
+            config, name = entry.driver.complete(config), entry.driver.name
+            pipe = stack.enter_context(child_process("simulated table", _feel, self._table, self._shared, name, config))
+            return entry.driver.make(reaching(config, first_message(pipe, "table")))
         rate_hz = float(config.fps or PICTURES_HZ)
         pipe = stack.enter_context(child_process("simulated table", _look, self._table, self._shared, rate_hz))
         synthetic = SyntheticDepthConfig(
@@ -234,19 +230,22 @@ def _goes_on(shared: _Shared, due_s: float) -> bool:
     return not shared.over
 
 
-def _feel(pipe: Connection, table: _Table, shared: _Shared, sensitivity: Sensitivity) -> None:
-    """The process of the table that is touched, and of the force sensor."""
+def _feel(pipe: Connection, table: _Table, shared: _Shared, driver: str, config: Any) -> None:
+    """The process of the table that is touched, and of the force sensor. driver, config: of the sensor"""
     scene = built_in(table.scene, table.seed)
     world = LayerWorld(scene, table.placement.tool.radius_m)
     contact = ArmContact(world, _RemoteArm(shared), table.placement, monotonic_ns)
 
     def load(time_s: float) -> FloatArray:
-        """(3,) force on the sensor in the tip's frame [N], with the sensor's faults where the table has any."""
+        """(6,) force and torque on the sensor in the tip's frame [N, N m], with its faults where the table has any."""
         load_n = contact.load(time_s)
-        return load_n if table.randomized is None else np.asarray(table.randomized.sensed(load_n, time_s), np.float64)
+        sensed_n = load_n if table.randomized is None else table.randomized.sensed(load_n, time_s)
+        return np.concatenate([sensed_n, np.zeros(3)])
 
-    double = OptoforceDouble(Sensors(scene=load, sensitivity=sensitivity, seed=table.seed))
-    with PtyWire(double) as wire:
+    make = DRIVERS[driver].double
+    if make is None:
+        raise InputError("a force sensor with a byte-exact double", f"driver {driver} without", where=driver)
+    with wire_for(make(config, load), reaching(config, config.port)) as wire:  # no bus: it would be another process's
         pipe.send(wire.port)
         due = time.monotonic()
         while _goes_on(shared, due):

@@ -15,7 +15,6 @@ from typing import Any
 from deformscope.errors import InputError
 from deformscope.lab.container_constants import PA_PER_COUNT
 from deformscope.lab.container_view import camera_pose
-from deformscope.lab.double_device import reaching
 from deformscope.lab.live_lab import first_message, pass_pictures, until_done
 from deformscope.lab.squeeze_lab import ContainerCase, ContainerTruth, SqueezedContainer, camera_config, members
 from deformscope.processes import SPAWN, child_process
@@ -28,7 +27,7 @@ from deformscope_drivers.device import Device
 from deformscope_drivers.dsa import Dsa, DsaConfig
 from deformscope_drivers.sdh import Sdh, SdhConfig
 from deformscope_drivers.sdh.double import Port
-from deformscope_drivers.wires import PtyWire
+from deformscope_drivers.wires import PtyWire, reaching
 
 PICTURES_HZ = 10.0
 

@@ -20,7 +20,6 @@ from deformscope.lab.session_errors import LabErrors
 from deformscope.lab.slab import RigidTip
 from deformscope.lab.slab_world import Contact
 from deformscope.lab.touch_lab import TouchLab
-from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.rig_file import Tool, Workspace
 from deformscope.rig.sections import CableSection, ShapeSection
 from deformscope.rig.source import RigMember, RigSource
@@ -31,6 +30,7 @@ from deformscope.solid import Capsule, PosedSolid
 from deformscope_drivers.depth_camera import SENSORS, View
 from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig
 from deformscope_drivers.device import Device
+from deformscope_drivers.interface import DRIVERS
 from deformscope_drivers.jaco.chains import J2N6S300
 from deformscope_drivers.jaco.config import JacoConfig
 from deformscope_drivers.memory import SimulatedClock

@@ -32,7 +32,6 @@ from deformscope.lab.container_shell import BOX, CYLINDER, ContainerShape
 from deformscope.lab.container_view import CAMERA, ContainerView
 from deformscope.lab.container_world import LOADED, SQUEEZING, ContainerDraw, ContainerWorld
 from deformscope.lab.ray_camera import DepthViewConfig
-from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.source import RigMember, RigSource
 from deformscope_drivers.clock import Clock
 from deformscope_drivers.depth_camera import SyntheticDepthCamera, View
@@ -42,6 +41,7 @@ from deformscope_drivers.dsa import Dsa, DsaConfig, DsaDouble
 from deformscope_drivers.dsa.pads import Pad, Part
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.images import Intrinsics
+from deformscope_drivers.interface import DRIVERS
 from deformscope_drivers.memory import MemoryTransport, SimulatedClock
 from deformscope_drivers.sdh import Sdh, SdhConfig
 from deformscope_drivers.sdh.double import Port, SdhDouble

@@ -1,31 +1,19 @@
 """Recorded bytes decoded again, with the drivers' own decoders, and compared with the recorded frames."""
 
-from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 
 from deformscope.errors import InputError
 from deformscope.frames import Frame, HealthReport, Item, LinkChange, RawBytes, SessionNote, Stream, host_ns
-from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.measured import to_frame
 from deformscope.rig.rig_file import Rig
 from deformscope_drivers.device import RAW_DROPPED
-from deformscope_drivers.dsa.measurer import TactileMeasurer, TactileReading
-from deformscope_drivers.dsa.messages import Id, MatrixInfo
-from deformscope_drivers.dsa.pads import to_pressure
-from deformscope_drivers.errors import ProtocolViolation
-from deformscope_drivers.framing import FrameDecoder, Skipped
-from deformscope_drivers.health import Health, Link
-from deformscope_drivers.optoforce import protocol as optoforce
-from deformscope_drivers.optoforce.measurement import ForceMeasurer
-from deformscope_drivers.sdh import protocol as sdh
-from deformscope_drivers.sdh.measurer import HandMeasurer
-from deformscope_drivers.transport import CAN_FRAME_BYTES
+from deformscope_drivers.framing import Skipped
+from deformscope_drivers.health import Description, Health, Link
+from deformscope_drivers.interface import DRIVERS, Redecoder
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,112 +29,6 @@ class DeviceComparison:
     compared: int
     left_out: str = ""
     difference: str = ""
-
-
-class Redecoder(ABC):
-    """Makes frames from one device's bytes, as its driver did.
-
-    left_out: parts of a frame that its bytes do not determine; compares: the fields that the bytes determine, besides
-    the stamp; listening: whether new items are for the decoder; late_answers: answers that were too late for the driver
-    give no frame"""
-
-    left_out = ""
-    listening = True
-    late_answers = False
-    compares: tuple[str, ...]
-
-    def __init__(self, config: object, stream: Stream) -> None:
-        self.config: Any = config
-        self.stream = stream
-
-    @abstractmethod
-    def begin(self) -> FrameDecoder[Any]:
-        """Begin a new link, with a new decoder."""
-
-    @abstractmethod
-    def measure(self, event: Any, host_ns: int) -> Any:
-        """The reading in one event of the decoder, from the driver's measurer; None without one."""
-
-    def send(self, data: bytes) -> None:  # noqa: B027
-        """Note bytes that the host sent."""
-
-    def resume(self) -> None:  # noqa: B027
-        """Note that the driver set up the device again on the same link."""
-
-    def device(self) -> Any:  # noqa: B027
-        """Interface of a device for `to_frame`."""
-
-
-class OptoforceAgain(Redecoder):
-    """Decodes the bytes of a force sensor."""
-
-    left_out = "`usable`, which also depends on earlier readings"
-    compares: tuple[str, ...] = ("counts", "force_n", "torque_nm", "overload")
-
-    def begin(self) -> FrameDecoder[Any]:
-        self._measurer = ForceMeasurer(self.config.sensitivities, self.stream.device)
-        return optoforce.Decoder(CAN_FRAME_BYTES if self.config.bus else 1)
-
-    def resume(self) -> None:
-        if self.config.zero_at_start:  # the zero point that the DAQ has lost is subtracted by the driver
-            self.compares = ("counts", "overload")
-            self.left_out += ", and forces after the DAQ lost its zero point"
-
-    def measure(self, event: object, host_ns: int) -> Any:
-        if not isinstance(event, optoforce.Reading):
-            return None
-        return self._measurer.measure(event, host_ns, self._measurer.follow(event, host_ns))
-
-
-class DsaAgain(Redecoder):
-    """Tactile pads."""
-
-    compares = ("counts", "pressure_pa")
-
-    def begin(self) -> FrameDecoder[Any]:
-        self._described, self._shapes = 0, [(pad.rows, pad.columns) for pad in self.stream.pads]
-        self._measurer = TactileMeasurer()
-        return self._measurer.connect()
-
-    def send(self, data: bytes) -> None:
-        if len(data) > 3 and data[3] == Id.ACQUISITION:
-            self._measurer.begin_stream()
-
-    def measure(self, event: Any, host_ns: int) -> Any:
-        if isinstance(event, MatrixInfo):
-            self._described += 1
-            if self._described == len(self._shapes):
-                self._measurer.describe(self._shapes)
-        found = self._measurer.measure(event, host_ns)
-        return found if isinstance(found, TactileReading) else None
-
-    def device(self) -> Any:
-        return SimpleNamespace(pressure_pa=lambda reading: to_pressure(reading.pads, self.config.calibration))
-
-
-class SdhAgain(Redecoder):
-    """Decodes the bytes of a hand: a reading consists of its answers with states, velocities and, last, angles."""
-
-    late_answers = True
-    compares = ("position_deg", "velocity_deg_s", "temperature_c", "state")
-
-    def begin(self) -> FrameDecoder[Any]:
-        self._measurer = HandMeasurer(self.stream.device)
-        self.listening = False  # what the line holds at first is dropped
-        return sdh.Decoder(checksummed=self.config.checksummed())
-
-    def send(self, data: bytes) -> None:
-        self.listening |= data != sdh.END_OF_COMMAND
-
-    def measure(self, event: Any, host_ns: int) -> Any:
-        try:
-            return self._measurer.measure(event, host_ns)
-        except ProtocolViolation:  # states that are not known: the driver refused the reading too
-            return None
-
-
-REDECODERS: dict[str, type[Redecoder]] = {"optoforce": OptoforceAgain, "dsa": DsaAgain, "sdh": SdhAgain}
-"""Functions by the driver's name; the other drivers do not exchange bytes."""
 
 
 def compare_with_bytes(rig: Rig | None, streams: Sequence[Stream], items: Iterable[Item]) -> list[DeviceComparison]:
@@ -168,14 +50,20 @@ def compare_with_bytes(rig: Rig | None, streams: Sequence[Stream], items: Iterab
     return [check.result() for check in checks.values()]
 
 
+def redecoder_of(stream: Stream, config: object) -> Redecoder | None:
+    """What makes readings from a device's bytes. None: its driver exchanges none, or its package is not installed."""
+    known = DRIVERS[stream.driver].redecoder if config is not None and stream.driver in DRIVERS else None
+    said = Description(channels=stream.channels, torques=stream.torques, pads=stream.pads, urdf=stream.urdf)
+    return None if known is None else known(config, said, stream.device)
+
+
 class _Check:
     """One device's bytes and frames, which belong together by their time of arrival."""
 
     def __init__(self, stream: Stream, config: object) -> None:
         self.health: Health | None = None
         self._stream = stream
-        known = REDECODERS.get(stream.driver)
-        self._again = None if known is None else known(config, stream)
+        self._again = redecoder_of(stream, config)
         self._decoder = None if self._again is None else self._again.begin()
         self._now_ns = 0
         self._recorded: deque[Frame] = deque()
@@ -219,7 +107,8 @@ class _Check:
         stream = self._stream
         left_out = self._again.left_out if self._again is not None else ""
         if self._again is None:
-            left_out = "its driver gives no bytes"
+            missing = stream.driver and stream.driver not in DRIVERS
+            left_out = f"no package of driver {stream.driver} is installed" if missing else "its driver gives no bytes"
         elif not self._pieces:
             left_out = "its bytes were not recorded"
         elif self.health is not None:

@@ -6,22 +6,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deformscope import frames
-from deformscope.rig.driver_table import Driver
 from deformscope_drivers.device import Device
-from deformscope_drivers.dsa.messages import TEXEL_MAX
-from deformscope_drivers.dsa.pads import to_pressure
-from deformscope_drivers.optoforce.protocol import Kind as Sensors
+from deformscope_drivers.errors import DeviceError
+from deformscope_drivers.interface import DeviceDriver, ForceReading, PadReading, TactileArray
 
 if TYPE_CHECKING:
     from deformscope_drivers.arm import ArmState
     from deformscope_drivers.depth_camera import DepthImage
-    from deformscope_drivers.dsa import Dsa, TactileReading
-    from deformscope_drivers.optoforce import ForceMeasurement
     from deformscope_drivers.sdh import HandReading
     from deformscope_drivers.webcam import ColorImage
-
-FINGER_CLOSED = 6800.0
-"""Position of a closed finger of a Jaco (protocol reference, section 3)."""
 
 
 def to_frame(kind: frames.Kind, reading: object, index: int, name: str, device: object) -> frames.Frame:
@@ -29,22 +22,22 @@ def to_frame(kind: frames.Kind, reading: object, index: int, name: str, device: 
     return _FRAMES[kind](reading, index, name, device)
 
 
-def describe(name: str, driver: Driver, device: Device[Any], *, simulated: bool) -> frames.Stream:
+def describe(name: str, driver: DeviceDriver, device: Device[Any], *, simulated: bool) -> frames.Stream:
     """Description of an open device before its first frame."""
-    who = device.identity()
-    opened: Any = device
-    known: dict[str, Any] = {}
-    match driver.kind:
-        case "tactile":
-            known = _of_tactile(opened)
-        case "wrench":
-            known = {
-                "channels": 4 if opened.kind is Sensors.FOUR_CHANNEL else 1,
-                "torques": opened.kind is Sensors.SIX_AXIS,
-            }
-        case "arm":
-            known = {"urdf": opened.urdf}
-    return frames.Stream(name, driver.kind, driver.name, simulated, who.serial, who.firmware, **known)
+    who, said = device.identity(), device.describe()
+    return frames.Stream(
+        name,
+        driver.kind,
+        driver.name,
+        simulated,
+        who.serial,
+        who.firmware,
+        said.pads,
+        said.urdf,
+        said.channels,
+        said.torques,
+        full_scale_pa=said.full_scale_pa,
+    )
 
 
 def _color(reading: "ColorImage", index: int, name: str, device: object) -> frames.Frame:
@@ -55,16 +48,17 @@ def _depth(reading: "DepthImage", index: int, name: str, device: object) -> fram
     return frames.DepthFrame(reading.stamp, index, reading.depth, reading.unit_m, reading.color, name)
 
 
-def _tactile(reading: "TactileReading", index: int, name: str, device: "Dsa") -> frames.Frame:
+def _tactile(reading: PadReading, index: int, name: str, device: TactileArray) -> frames.Frame:
     counts = np.concatenate([pad.ravel() for pad in reading.pads])
     return frames.TactileFrame(reading.stamp, index, counts, tuple(device.pressure_pa(reading)), name)
 
 
-def _wrench(reading: "ForceMeasurement", index: int, name: str, device: object) -> frames.Frame:
+def _wrench(reading: ForceReading, index: int, name: str, device: object) -> frames.Frame:
     counts = np.array(reading.counts, np.int64)
-    known = reading.per_count is not None
-    force_n = reading.force_n if known else np.full((len(counts), 3), np.nan)
-    torque_nm = reading.torque_nm if known else None
+    try:
+        force_n, torque_nm = reading.force_n, reading.torque_nm
+    except DeviceError:  # the worth of a count is not known
+        force_n, torque_nm = np.full((len(counts), 3), np.nan), None
     return frames.WrenchFrame(
         reading.stamp, index, counts.ravel(), force_n, torque_nm, bool(reading.overload), reading.usable, name
     )
@@ -82,7 +76,7 @@ def _arm(reading: "ArmState", index: int, name: str, device: object) -> frames.F
         rotation_rad=np.array(reading.theta_rad),
         force_n=force_n,
         torque_nm=torque_nm,
-        finger=np.array(reading.fingers) / FINGER_CLOSED,
+        finger=np.array(reading.fingers),
         queued=reading.fifo_count,
         device=name,
     )
@@ -93,23 +87,6 @@ def _hand(reading: "HandReading", index: int, name: str, device: object) -> fram
     states = tuple(state.name.lower() for state in reading.state)
     position_deg, velocity_deg_s = np.array(reading.position_deg), np.array(reading.velocity_deg_s)
     return frames.HandFrame(reading.stamp, index, position_deg, velocity_deg_s, temperature_c, states, name)
-
-
-def _of_tactile(device: "Dsa") -> dict[str, Any]:
-    pads = tuple(
-        frames.Pad(
-            pad.name,
-            matrix.cells_y,
-            matrix.cells_x,
-            (matrix.texel_width_mm / 1e3, matrix.texel_height_mm / 1e3),
-            index,
-            pad.finger,
-            int(pad.part),
-        )
-        for index, (pad, matrix) in enumerate(zip(device.pads, device.matrices, strict=True))
-    )
-    full = to_pressure([np.array([[TEXEL_MAX]], np.uint16)] * len(pads), device.config.calibration)
-    return {"pads": pads, "full_scale_pa": float(max(map(np.max, full)))}
 
 
 _FRAMES: dict[frames.Kind, Callable[[Any, int, str, Any], frames.Frame]] = {

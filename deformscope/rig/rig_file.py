@@ -18,10 +18,10 @@ from typing import Any, Literal
 from deformscope.errors import InputError
 from deformscope.file_io import SAMPLE_SCHEME, nearest, resolve, sample_names
 from deformscope.rig import sections
-from deformscope.rig.driver_table import DRIVERS, Driver
 from deformscope.rig.sections import CalibratedSection
 from deformscope_drivers.device import Device
 from deformscope_drivers.errors import DeviceError
+from deformscope_drivers.interface import DRIVERS, DeviceDriver
 
 LAB_SCHEME = "lab:"
 EXAMPLE = "deformscope doctor --example"
@@ -44,7 +44,7 @@ class RigDevice:
     late_ns: its delay, by `calibrate time` [ns]: it is subtracted from its stamps"""
 
     name: str
-    driver: Driver
+    driver: DeviceDriver
     config: Any
     double: bool = False
     trusted: bool = False
@@ -57,7 +57,7 @@ class RigDevice:
         try:
             if getattr(config, "library", None) and not self.trusted:
                 config = dataclasses.replace(config, library=str(system_library(config.library_file())))
-            return self.driver.make(config)  # type: ignore[no-any-return]
+            return self.driver.make(config)
         except (DeviceError, InputError) as error:
             raise InputError.about(error, f"device {self.name}") from error
 
@@ -325,7 +325,7 @@ def scenario_names() -> list[str]:
 
 def parse_rig(text: str, where: str, *, trusted: bool = False, others: Sequence[str] = ()) -> Rig:
     """Parse a file's text into a rig.; where: its name, for messages; trusted: as in `load_rig`; others: devices
-    without a driver of deformscope, which it may name too"""
+    without an installed driver, which it may name too: the result is without them"""
     try:
         content = tomllib.loads(text)
     except Exception as error:  # also RecursionError, and ValueError for numbers of thousands of digits
@@ -339,7 +339,11 @@ def parse_rig(text: str, where: str, *, trusted: bool = False, others: Sequence[
         given = {name: content[name] for name in SECTIONS if content.get(name) is not None}
         read = {name: _read(SECTIONS[name], one, f"[{name}]") for name, one in given.items()}
         late = section.late_ns(devices) if (section := read.get("calibrated")) else {}
-        members = tuple(_device(name, given, trusted, late.get(name, 0)) for name, given in devices.items())
+        members = tuple(
+            _device(name, given, trusted, late.get(name, 0))
+            for name, given in devices.items()
+            if name not in others or not isinstance(given, dict) or str(given.get("driver")) in DRIVERS
+        )
         rig = Rig(Path(where).stem, text, members, **read, folder=Path(where).expanduser().parent)
         names = dict.fromkeys((*devices, *others))
         if rig.camera.device and rig.camera.device not in names:
@@ -380,17 +384,20 @@ def _device(name: str, given: object, trusted: bool, late_ns: int) -> RigDevice:
         raise InputError(f"a section {section}", type(given).__name__)
     rest = dict(given)
     asked = str(rest.pop("driver", ""))
-    driver = DRIVERS.get(asked)
-    if driver is None:
+    if asked not in DRIVERS:
         near = nearest(asked, DRIVERS, like=0.6)
-        hint = f'driver = "{near}"' if near else "one of these, or your own: docs/developers/add-a-device.md"
+        hint = f'driver = "{near}"' if near else "pip install its package, or deformscope new-device"
         raise InputError(f"{section} driver out of {', '.join(DRIVERS)}", repr(asked) if asked else "none", hint)
+    try:
+        driver = DRIVERS[asked]
+    except DeviceError as error:
+        raise InputError.about(error, section) from error
     double = rest.pop("double", False)
     if not isinstance(double, bool):
         raise InputError(f"{section} double = true or false", repr(double))
     if double and not driver.doubled:
         raise InputError(f"{section} without double: {driver.name} needs none", "double = true")
-    return RigDevice(name, driver, _read(driver.config_class(), rest, section), double, trusted, late_ns)
+    return RigDevice(name, driver, _read(driver.config, rest, section), double, trusted, late_ns)
 
 
 def _read(kind: type[Any], given: object, section: str) -> Any:

@@ -10,12 +10,12 @@ from typing import Any
 from deformscope.errors import InputError
 from deformscope.frames import HealthReport, Item, LinkChange, RawBytes, Stream, host_ns
 from deformscope.rig.alarms import SensorAlarms
-from deformscope.rig.driver_table import Driver
 from deformscope.rig.measured import describe, to_frame
 from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.device import Device, RawChunk
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.health import LinkEvent
+from deformscope_drivers.interface import DeviceDriver
 from deformscope_drivers.subscription import Subscription
 
 HEALTH_PERIOD_S = 1.0
@@ -26,7 +26,7 @@ class RigMember:
     """device: not yet opened; simulated: a double replaces it; late_ns: calibrated delay, subtracted from its stamps"""
 
     name: str
-    driver: Driver
+    driver: DeviceDriver
     device: Device[Any]
     simulated: bool = False
     late_ns: int = 0

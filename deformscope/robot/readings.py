@@ -2,15 +2,12 @@
 
 from collections.abc import Hashable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from deformscope_drivers.arm.device import ArmState
 from deformscope_drivers.arm.kinematics import FloatArray
-
-if TYPE_CHECKING:
-    from deformscope_drivers.optoforce.measurement import ForceMeasurement
+from deformscope_drivers.interface import ForceReading
 
 PERIOD_NS = 10_000_000
 """A control period: the arm receives one velocity in each."""
@@ -32,7 +29,7 @@ class ForceSample:
     sensor_n: FloatArray = field(default_factory=lambda: np.zeros(3))
 
     @classmethod
-    def of(cls, reading: "ForceMeasurement", tare_n: FloatArray) -> "ForceSample":
+    def of(cls, reading: ForceReading, tare_n: FloatArray) -> "ForceSample":
         """Sample of the first channel of a driver's reading. tare_n: (3,) force in free air, which is subtracted [N]"""
         sensor_n, stamp = reading.force_n[0], reading.stamp
         ticks = -1 if stamp.device_ticks is None else stamp.device_ticks

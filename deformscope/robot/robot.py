@@ -26,7 +26,7 @@ from deformscope_drivers.device import Device
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.health import Health, Link
 from deformscope_drivers.images import DepthImage, fingerprint
-from deformscope_drivers.optoforce.measurement import ForceMeasurement
+from deformscope_drivers.interface import ForceReading
 
 VALID_PERIODS = 4
 """A velocity expires unless it is set again within this number of control periods."""
@@ -418,7 +418,7 @@ class Robot:
         return True
 
     def _look(self) -> RobotObservation:
-        forces: list[ForceMeasurement] = taken(self._forces)
+        forces: list[ForceReading] = taken(self._forces)
         states: list[ArmState] = taken(self._states)
         pictures: list[DepthImage] = taken(self._pictures) if self._pictures is not None else []
         arms = tuple(map(ArmSample.of, states))

@@ -13,7 +13,6 @@ import numpy.typing as npt
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.rig_file import Rig, RigDevice, Workspace
 from deformscope.rig.sections import CalibrationAge, ShapeSection
 from deformscope.rig.source import RigMember, RigSource
@@ -25,11 +24,10 @@ from deformscope.robot.preflight import FORCE_TURNED
 from deformscope.robot.robot import Robot, RobotStopped, Waits, Watch, sleep_until
 from deformscope.robot.supervisor import Limits
 from deformscope_drivers.arm.kinematics import transform
-from deformscope_drivers.arms import chain_of
 from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.device import Device
 from deformscope_drivers.errors import DeviceError
-from deformscope_drivers.manual_arm.device import MANUAL
+from deformscope_drivers.interface import DRIVERS
 
 ROLES = ("arm", "wrench", "depth")
 """Kinds of the arm, of the force sensor at its end, and of the camera."""
@@ -223,8 +221,8 @@ class RigParts:
     def of(cls, rig: Rig) -> "RigParts":
         devices = tuple(only_device(rig, kind) for kind in ROLES)
         force = devices[1]
-        if not force.double and not force.config.sensitivities:
-            raise InputError("its sensitivity, for forces in newtons", "none", "the sensor's report", force.name)
+        if not force.double and (lacking := force.driver.lacks(force.config)):
+            raise InputError(lacking, "none", "its section of the rig file", force.name)
         _check_rates(rig, devices)
         # ages count from the time of measurement, so a device's time offset stays below the limit on its silence
         limits = Limits.of(rig.workspace, camera_hz=float(devices[2].config.fps or CAMERA_HZ))
@@ -330,9 +328,10 @@ def only_device(rig: Rig, kind: str, use: str = "to explore with", name: str = "
     """The one device of a kind. use: its purpose, for the message; name, driver: name and driver of it, empty = any
     (for a depth camera, the one that `[camera]` names); raises InputError if there is none, or several"""
     name = rig.camera.device or "" if kind == "depth" else name
-    drivers = [one for one, known in DRIVERS.items() if known.kind == kind and driver in ("", one)]
-    found = [one for one in rig.devices if one.driver.name in drivers and name in ("", one.name)]
+    of_kind = [one for one in rig.devices if one.driver.kind == kind and driver in ("", one.driver.name)]
+    found = [one for one in of_kind if name in ("", one.name)]
     if len(found) != 1:
+        drivers = [driver] if driver else [one.name for one in DRIVERS.of_kind(kind)]
         came = "none" if not found else ", ".join(entry.name for entry in found)
         named = " or ".join(f'"{one}"' for one in drivers)
         raise InputError(f"one device with driver = {named}, {use}", came, "the rig file", rig.name)
@@ -343,10 +342,10 @@ def description_of(rig: Rig, arm: RigDevice) -> RobotDescription:
     """The robot's description from [shape]. Raises InputError, with the error."""
     if rig.shape == ShapeSection():
         return AS_CAPSULES
-    model = MANUAL if arm.driver.name == "placed" else arm.config.model
-    if model is None:
-        raise InputError('model = "..." of the arm, besides [shape]', "none", 'model = "j2n6s300"', arm.name)
+    chains = arm.driver.chains()
+    if chains and arm.config.model is None:
+        raise InputError('model = "..." of the arm, besides [shape]', "none", f'model = "{min(chains)}"', arm.name)
     try:
-        return describe(rig.shape, chain_of(model), rig.folder)
+        return describe(rig.shape, chains[arm.config.model] if chains else None, rig.folder)
     except InputError as error:
         raise InputError.about(error, "[shape]") from error

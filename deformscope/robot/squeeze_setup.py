@@ -19,7 +19,6 @@ from deformscope.robot.placing import PlacingSetup, hand_tool
 from deformscope.robot.robot import Waits, sleep_until
 from deformscope.robot.setup import CAMERA_HZ, CameraView, SimulatedDevices, only_device, open_rig
 from deformscope.robot.squeeze_plan import GripShape, RandomGrasp, draw_grasp
-from deformscope_drivers.arms import chain_of
 from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.images import Intrinsics
 
@@ -215,7 +214,7 @@ def lacks_to_place(rig: Rig) -> list[str]:
 def placing_of(parts: SqueezeParts) -> PlacingSetup:
     """The arm of a rig that places its hand. Raises InputError for an arm with unknown joints."""
     rig, arm = parts.rig, parts.arm
-    chain = None if arm is None else chain_of(arm.config.model or "")
+    chain = None if arm is None else arm.driver.chains().get(getattr(arm.config, "model", None) or "")
     T_arm_hand, T_base_table = _transform(rig.hand.T_arm_hand), _transform(rig.surface.T_arm_surface)
     if chain is None or T_arm_hand is None or T_base_table is None:
         raise InputError('model = "..." of the arm, for --place', "none", 'model = "j2n6s300"', rig.name)

@@ -19,7 +19,7 @@ from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar, cast
 from deformscope_drivers.clock import Clock, ClockFit, Stamp, monotonic_ns
 from deformscope_drivers.errors import DeviceError, LinkLost, NoReply, NotConnected, Stale
 from deformscope_drivers.framing import FrameDecoder, Skipped
-from deformscope_drivers.health import Health, Identity, Link, LinkEvent, Tally
+from deformscope_drivers.health import Description, Health, Identity, Link, LinkEvent, Tally
 from deformscope_drivers.pacing import READING, be_prompt
 from deformscope_drivers.subscription import Subscription
 from deformscope_drivers.transport import Transport
@@ -321,6 +321,14 @@ class Device(ABC, Generic[MeasurementT]):
     def identity(self) -> Identity:
         """Model, serial number and firmware, as far as the device reported them while connecting; touches nothing."""
         return Identity()
+
+    def serial_number(self) -> str:
+        """The serial number, which some devices report on request alone. Raises NoReply without an answer."""
+        return self.identity().serial
+
+    def describe(self) -> Description:
+        """What its readings are like, once it is open; touches nothing."""
+        return Description()
 
     def remarks(self) -> tuple[str, ...]:
         """Remarks for a user on the connected device, though it works; each as text."""

@@ -5,6 +5,7 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from pathlib import Path
 
 import numpy as np
 
@@ -236,6 +237,36 @@ class Identity:
     model: str = ""
     serial: str = ""
     firmware: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class PadLayout:
+    """One pad of a tactile sensor. rows, columns: its texels; texel_m: (width, height) size of a texel [m]; index:
+    its place among the device's pads; finger: 0 to 2; part: 0 proximal, 1 distal"""
+
+    name: str
+    rows: int
+    columns: int
+    texel_m: tuple[float, float]
+    index: int
+    finger: int
+    part: int
+
+
+@dataclass(frozen=True, slots=True)
+class Description:
+    """What an open device says of its readings.
+
+    rate_hz: rate to which it was set, 0 = not known; channels: channels of a force sensor; torques: whether it measures
+    them; pads: layout of a tactile sensor; full_scale_pa: pressure of its largest count [Pa], 0 = not known
+    urdf: URDF of an arm, for viewers"""
+
+    rate_hz: float = 0.0
+    channels: int = 1
+    torques: bool = False
+    pads: tuple[PadLayout, ...] = ()
+    full_scale_pa: float = 0.0
+    urdf: Path | None = None
 
 
 class Rate:

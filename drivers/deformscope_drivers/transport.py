@@ -9,6 +9,7 @@ import errno
 import os
 import re
 import select
+import socket
 import threading
 import urllib.parse
 from abc import ABC, abstractmethod
@@ -20,10 +21,12 @@ from deformscope_drivers.errors import Busy, DeviceError, LibraryMissing, LinkLo
 CHUNK_BYTES = 4096
 WRITE_TIMEOUT_S = 1.0
 CAN_FRAME_BYTES = 8
+UDP_BUFFER_BYTES = 1 << 20
+"""What the kernel holds while the host is busy: some seconds at 7 kHz. Linux gives less where its limit is lower."""
 CAN_DRAIN_FRAMES = 512
 
-PORTS = "a device's path, socket://HOST:PORT or rfc2217://HOST:PORT"
-_NETWORK_PORT = re.compile(r"(socket|rfc2217)://([\w.-]+|\[[0-9a-fA-F:.]+\]):\d{1,5}")
+PORTS = "a device's path, socket://HOST:PORT, rfc2217://HOST:PORT or udp://HOST:PORT"
+_NETWORK_PORT = re.compile(r"(socket|rfc2217|udp)://([\w.-]+|\[[0-9a-fA-F:.]+\]):\d{1,5}")
 
 _NAME = re.compile(r"[\w.-]+")
 _BUS_CHANNELS = {
@@ -176,6 +179,69 @@ class SerialTransport(Transport):
             raise LinkLost("a port that works", _format_error(error), "check the cable", self.name) from error
 
 
+class UdpTransport(Transport):
+    """Datagrams to and from one address, `udp://host:port`; a `read` gives one datagram.
+
+    Datagrams that get lost are not noticed here: the device's own counter shows them."""
+
+    def __init__(self, port: str) -> None:
+        check_port(port)
+        self.name = port
+        address = urllib.parse.urlsplit(port)
+        self._to = (address.hostname or "", address.port or 0)
+        self._socket: socket.socket | None = None
+
+    def open(self) -> None:
+        try:
+            family, kind, protocol, _, to = socket.getaddrinfo(*self._to, type=socket.SOCK_DGRAM)[0]
+            opened = socket.socket(family, kind, protocol)
+        except OSError as error:
+            raise NotConnected(
+                "the address of a host", _format_error(error), 'port = "udp://HOST:PORT"', self.name
+            ) from error
+        opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, UDP_BUFFER_BYTES)
+        opened.setblocking(False)
+        try:
+            opened.connect(to)  # from now on only its datagrams are received
+        except OSError as error:
+            opened.close()
+            raise NotConnected(
+                "a host that can be reached", _format_error(error), "check cable and address", self.name
+            ) from error
+        self._socket = opened
+
+    def close(self) -> None:
+        opened, self._socket = self._socket, None
+        if opened is not None:
+            opened.close()
+
+    def read(self, timeout_s: float) -> bytes:
+        opened = self._require()
+        if not select.select([opened], [], [], max(timeout_s, 0.0))[0]:
+            return b""
+        try:
+            return opened.recv(CHUNK_BYTES)
+        except BlockingIOError:  # its checksum was wrong
+            return b""
+        except OSError as error:  # refused: nothing listens at the device's port
+            raise LinkLost(
+                "datagrams from the device", _format_error(error), "check power, cable and address", self.name
+            ) from error
+
+    def write(self, data: bytes) -> None:
+        try:
+            self._require().send(data)
+        except OSError as error:
+            raise LinkLost(
+                "a network that takes datagrams", _format_error(error), "check cable and address", self.name
+            ) from error
+
+    def _require(self) -> socket.socket:
+        if self._socket is None:
+            raise NotConnected("an open port", "one that is closed", where=self.name)
+        return self._socket
+
+
 class CanTransport(Transport):
     """A byte stream over a CAN bus: the device's frames of one id, one after the other; ours in pieces of 8 bytes.
 
@@ -287,11 +353,13 @@ def check_way(port: str, bus: str) -> None:
 def serial_or_can(
     port: str, bus: str, *, baudrate: int, receive_id: int = 0, send_id: int = 0, bitrate: int = 1_000_000
 ) -> Transport:
-    """The transport that a configuration names: exactly one of `port` (serial) and `bus` (CAN)."""
+    """The transport that a configuration names: exactly one of `port` (serial, socket, datagrams) and `bus`."""
     if bool(port) == bool(bus):
         came = "both" if port else "neither"
         raise NotConnected("a port or a bus", came, 'port = "/dev/ttyACM0" or bus = "socketcan:can0"')
-    return CanTransport(bus, receive_id, send_id, bitrate) if bus else SerialTransport(port, baudrate)
+    if bus:
+        return CanTransport(bus, receive_id, send_id, bitrate)
+    return UdpTransport(port) if port.startswith("udp:") else SerialTransport(port, baudrate)
 
 
 def _not_opened(error: Exception, port: str) -> DeviceError:

@@ -2,6 +2,7 @@
 
 A wire has one thread, which feeds the double with bytes and time and sends what is due. Cables can be pulled out."""
 
+import dataclasses
 import os
 import select
 import socket
@@ -194,6 +195,52 @@ class TcpWire(Wire):
             return 0
 
 
+class DatagramWire(Wire):
+    """Datagrams on loopback with one host, the last that sent one; `port` is a `udp://` URL.
+
+    The double's bytes go in datagrams of its `datagram_bytes`."""
+
+    def __init__(self, double: Double) -> None:
+        super().__init__(double)
+        self._size: int = getattr(double, "datagram_bytes", CHUNK_BYTES)
+        self._number = 0
+        self.port = ""
+        self._socket: socket.socket | None = None
+        self._host: tuple[str, int] | None = None
+
+    def _attach(self) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind((LOOPBACK, self._number))
+        self._number = self._socket.getsockname()[1]
+        self.port = f"udp://{LOOPBACK}:{self._number}"
+
+    def _detach(self) -> None:
+        if self._socket is not None:
+            self._socket.close()
+        self._socket = self._host = None
+
+    def _take(self, wait_s: float) -> bytes:
+        assert self._socket is not None
+        if not select.select([self._socket], [], [], wait_s)[0]:
+            return b""
+        try:
+            data, self._host = self._socket.recvfrom(CHUNK_BYTES)
+        except OSError:  # a datagram has met a port that is closed
+            return b""
+        return data
+
+    def _give(self, data: bytes) -> int:
+        if self._socket is None or self._host is None:
+            return 0
+        given = 0
+        for at in range(0, len(data), self._size):
+            try:
+                given += self._socket.sendto(data[at : at + self._size], self._host)
+            except OSError:
+                continue
+        return given
+
+
 class CanWire(Wire):
     """A CAN bus, over which the double's bytes go in frames of up to 8. Ids as the host's `CanTransport` has them.
 
@@ -232,3 +279,29 @@ class CanWire(Wire):
                 piece = piece.ljust(CAN_FRAME_BYTES, b"\0")
             self._bus.send(can.Message(arbitration_id=self._ids[0], data=piece, is_extended_id=False))
         return len(data)
+
+
+# Whichever wire a configuration names ---------------------------------------------------------------------------------
+
+
+def wire_for(double: Double, config: Any, bus: str = "") -> Wire:
+    """A wire to a double: by a CAN bus, a socket or datagrams if the configuration names one, else a pseudo terminal.
+    bus: replacement of the CAN bus that the configuration names"""
+    if getattr(config, "bus", ""):
+        return CanWire(double, bus, receive_id=config.receive_id, send_id=config.send_id, bitrate=config.bitrate)
+    if config.port.startswith("socket:"):
+        return TcpWire(double)
+    return DatagramWire(double) if config.port.startswith("udp:") else PtyWire(double)
+
+
+def reaching(config: Any, port: str, *, is_bus: bool = False) -> Any:
+    """The configuration with the address of the double at the other end of a wire."""
+    links = {"port": port}
+    if hasattr(config, "bus"):
+        links = {"port": "", "bus": port} if is_bus else {"port": port, "bus": ""}
+    return dataclasses.replace(of_any_serial(config), **links)
+
+
+def of_any_serial(config: Any) -> Any:
+    """The configuration, for a device with any serial number: a double has its own."""
+    return dataclasses.replace(config, serial=type(config)().serial) if hasattr(config, "serial") else config

@@ -1,6 +1,7 @@
 """Where the arm is, and moving it by keys or over a place: watched as in an exploration, on a simulated clock."""
 
 import contextlib
+import dataclasses
 import json
 import os
 import signal
@@ -14,11 +15,11 @@ import pytest
 from deformscope.cli import main
 from deformscope.cli.common import EXIT_LOSSES
 from deformscope.config import JogConfig
-from deformscope.lab import double_device
 from deformscope.recording.recorder import Recorder
 from deformscope.runs import arm_commands
 from deformscope_drivers.arm.hosted import HostedArm
 from deformscope_drivers.errors import DeviceError
+from deformscope_drivers.interface import DRIVERS
 from deformscope_drivers.jaco.chains import J2N6S300
 from deformscope_drivers.jaco.config import JacoConfig
 from deformscope_drivers.optoforce.device import Optoforce
@@ -188,10 +189,10 @@ def unhomed(tmp_path: Path, monkeypatch: Patch) -> tuple[str, Path]:
     calls.touch()
 
     @contextlib.contextmanager
-    def opened(config: object) -> Iterator[HostedArm]:
+    def opened(config: object, scene: object) -> Iterator[HostedArm]:
         yield HostedArm(Unhomed, JacoConfig(library=str(calls)))
 
-    monkeypatch.setitem(double_device._IN_PROCESS, "jaco", opened)
+    monkeypatch.setitem(DRIVERS._loaded, "jaco", dataclasses.replace(DRIVERS["jaco"], simulated=opened))
     path = tmp_path / "rig.toml"
     path.write_text('[devices.arm]\ndriver = "jaco"\ndouble = true\n')
     return str(path), calls

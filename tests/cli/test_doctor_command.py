@@ -141,7 +141,7 @@ def test_a_rig_without_anything_to_double_is_told(tmp_path: Path, capsys: Captur
     path = tmp_path / "rig.toml"
     path.write_text('[devices.camera]\ndriver = "webcam"\n')
     assert main(["double", str(path)]) == 2
-    assert "expected a rig with devices of optoforce, dsa, sdh; got none" in capsys.readouterr().err
+    assert "expected a rig with devices of dsa, optoforce, sdh; got none" in capsys.readouterr().err
 
 
 def test_what_a_device_remarks_of_itself_is_to_be_looked_at(

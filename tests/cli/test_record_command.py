@@ -255,12 +255,12 @@ def test_a_damaged_ledger_is_told(recorded: Path, tmp_path: Path, capsys: Captur
 
 def test_a_device_that_is_gone_is_named_with_what_it_cost(tmp_path: Path, capsys: Capture, monkeypatch: Patch) -> None:
     from deformscope.lab.double_device import wire_of
-    from deformscope.rig.driver_table import DRIVERS
     from deformscope.rig.source import RigSource
+    from deformscope_drivers.interface import DRIVERS
 
     file, told = tmp_path / "r.rrd", tmp_path / "r.json"
     take = RigSource.take
-    with wire_of("optoforce", DRIVERS["optoforce"].config_class()(), "") as wire:
+    with wire_of("optoforce", DRIVERS["optoforce"].config(), "") as wire:
         (tmp_path / "rig.toml").write_text(f'[devices.tip]\ndriver = "optoforce"\nport = "{wire.port}"\n')
 
         def take_and_unplug(source: RigSource, wait_s: float) -> list[Item]:

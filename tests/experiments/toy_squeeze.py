@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.sections import ContainerSection, HandSection, SqueezeSection
 from deformscope.rig.source import RigMember, RigSource
 from deformscope.robot.setup import CameraView
@@ -25,6 +24,7 @@ from deformscope_drivers.device import Device
 from deformscope_drivers.dsa import Dsa, DsaConfig
 from deformscope_drivers.dsa.double import DsaDouble
 from deformscope_drivers.errors import DeviceError
+from deformscope_drivers.interface import DRIVERS
 from deformscope_drivers.memory import MemoryTransport, SimulatedClock
 from deformscope_drivers.sdh import Sdh, SdhConfig
 from deformscope_drivers.sdh.double import Port, SdhDouble

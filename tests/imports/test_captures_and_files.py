@@ -78,8 +78,8 @@ def test_bytes_of_a_daq_are_decoded_and_replayed(tmp_path: Path, capfd: pytest.C
 BAD_CAPTURES = {
     "no sensitivity": ("", "config.sensitivity of tip in the map: counts at nominal and nominal forces"),
     "another kind": ("wrench depth", "kind of tip in the map: wrench, as optoforce gives; got 'depth'"),
-    "the proposal": ("optoforce ?", "driver of tip in the map: one of optoforce, dsa; got '?'"),
-    "no driver": ('driver="optoforce" ', "driver of tip in the map: one of optoforce, dsa; got none"),
+    "the proposal": ("optoforce ?", "driver of tip in the map: one of dsa, optoforce; got '?'"),
+    "no driver": ('driver="optoforce" ', "driver of tip in the map: one of dsa, optoforce; got none"),
 }
 
 

@@ -9,8 +9,8 @@ import pytest
 
 from deformscope.lab.double_device import double_device
 from deformscope.lab.rig_members import member_of
-from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.rig_file import parse_rig
+from deformscope_drivers.interface import DRIVERS
 from tests.cases import slow_but
 from tests.patience import PATIENCE_S
 
@@ -63,7 +63,7 @@ def test_the_example_is_for_every_device_that_can_be_doubled() -> None:
 
 def test_a_double_on_a_port_has_a_process_of_its_own_that_ends_with_it() -> None:
     driver = DRIVERS["optoforce"]
-    with double_device("optoforce", driver.config_class()(rate_hz=333)) as device:
+    with double_device("optoforce", driver.config(rate_hz=333)) as device:
         process = int(device.config.port.split("/")[2])
         assert int(Path(f"/proc/{process}/stat").read_text().split()[3]) == os.getpid()
         with device.readings() as readings:

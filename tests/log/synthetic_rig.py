@@ -14,7 +14,7 @@ START_NS = 81_234_567_890_123
 FULL_SCALE_PA = 3271.2
 PA_PER_COUNT = FULL_SCALE_PA / 4095
 PADS = tuple(
-    frames.Pad(f"{finger}_{part}", rows, 6, (0.0034, 0.0034), 2 * place + row, place, row)
+    frames.PadLayout(f"{finger}_{part}", rows, 6, (0.0034, 0.0034), 2 * place + row, place, row)
     for place, finger in enumerate(("finger_0", "thumb", "finger_2"))
     for row, (part, rows) in enumerate((("proximal", 14), ("distal", 13)))
 )

@@ -9,7 +9,7 @@ import pytest
 import rerun as rr
 from rerun.chunk import Chunk
 
-from deformscope.frames import Pad, Stream
+from deformscope.frames import PadLayout, Stream
 from deformscope.log.layout import SQUEEZE, SqueezeLayout
 from deformscope.log.squeeze.display import Fingertips
 from deformscope.log.squeeze.results import prepare_squeeze_results, squeeze_blueprint
@@ -21,7 +21,7 @@ from deformscope.stages.squeeze import trial
 from deformscope.stages.squeeze.events import SqueezeEvents
 
 PADS = tuple(
-    Pad(f"finger_{finger}_{part}", 13, 6, (0.0034, 0.0034), 2 * finger + at, finger, at)
+    PadLayout(f"finger_{finger}_{part}", 13, 6, (0.0034, 0.0034), 2 * finger + at, finger, at)
     for finger in range(3)
     for at, part in enumerate(("proximal", "distal"))
 )

@@ -10,7 +10,7 @@ import pytest
 import rerun as rr
 from rerun.chunk import RrdReader
 
-from deformscope.frames import Pad, StageResult, Stream, UsedFrames
+from deformscope.frames import PadLayout, StageResult, Stream, UsedFrames
 from deformscope.log.rig.tactile import Hand
 from deformscope.log.stages import log_stage_streams, prepare_stage_results, summary
 from deformscope.log.stages.over_image import stage_blueprint
@@ -23,7 +23,9 @@ from deformscope.stages.see.tactile import TactileContact, tactile_contact
 from tests.log.synthetic_exploration import bare_touch
 
 START_NS = 1_000
-PADS = tuple(Pad(f"{name}_distal", 4, 3, (3.4e-3, 2.0e-3), at, at, 1) for at, name in enumerate(("thumb", "finger_0")))
+PADS = tuple(
+    PadLayout(f"{name}_distal", 4, 3, (3.4e-3, 2.0e-3), at, at, 1) for at, name in enumerate(("thumb", "finger_0"))
+)
 STREAMS = (
     Stream("camera", "color", "webcam"),
     Stream("depth", "depth", "depth_camera", simulated=True),

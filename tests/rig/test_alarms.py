@@ -5,13 +5,15 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from deformscope.frames import ColorFrame, DepthFrame, HealthReport, Item, Pad, Stream, TactileFrame, WrenchFrame
+from deformscope.frames import ColorFrame, DepthFrame, HealthReport, Item, PadLayout, Stream, TactileFrame, WrenchFrame
 from deformscope.rig.alarms import TEXEL_END, WRENCH_END, SensorAlarms
 from deformscope_drivers.clock import Stamp
 from deformscope_drivers.health import Health, Link
 
 TIP = Stream("tip", "wrench", "optoforce")
-PADS = Stream("pads", "tactile", "dsa", pads=tuple(Pad(f"pad {at}", 2, 3, (0.003, 0.003), at, at, 1) for at in (0, 1)))
+PADS = Stream(
+    "pads", "tactile", "dsa", pads=tuple(PadLayout(f"pad {at}", 2, 3, (0.003, 0.003), at, at, 1) for at in (0, 1))
+)
 CAMERA = Stream("camera", "color", "webcam")
 DEPTH = Stream("above", "depth", "depth_camera")
 AFTER_S: dict[str, float | None] = {"tip": 2.0, "pads": 2.0}

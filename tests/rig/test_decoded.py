@@ -25,10 +25,10 @@ from deformscope.log.layout import RIG as RIG_APPLICATION
 from deformscope.log.layout import RigLayout
 from deformscope.recording.recorder import Recorder
 from deformscope.rig.decoded import compare_with_bytes
-from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.rig_file import parse_rig
 from deformscope.rig.source import RigMember, RigSource
 from deformscope_drivers.dsa import Dsa, DsaDouble
+from deformscope_drivers.interface import DRIVERS
 from deformscope_drivers.memory import MemoryTransport, SimulatedClock
 from deformscope_drivers.optoforce import Optoforce, OptoforceDouble
 from deformscope_drivers.sdh import Sdh

@@ -18,12 +18,12 @@ from deformscope.experiments.live.live_stages import live_stages
 from deformscope.frames import Frame, HealthReport, Item, LinkChange, RawBytes, TactileFrame, WrenchFrame, host_ns
 from deformscope.lab.double_device import double_device, wire_of
 from deformscope.recording.losses import losses_of, named
-from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.source import RigMember, RigSource
 from deformscope.session import finish, run
 from deformscope_drivers.dsa import Dsa, DsaConfig, DsaDouble
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.health import Link
+from deformscope_drivers.interface import DRIVERS
 from deformscope_drivers.memory import MemoryTransport, SimulatedClock
 from deformscope_drivers.optoforce import Optoforce, OptoforceConfig, OptoforceDouble
 from deformscope_drivers.optoforce.protocol import Decoder, Reading
@@ -32,7 +32,7 @@ from tests.patience import PATIENCE_S
 
 @contextlib.contextmanager
 def doubled(driver: str, name: str, **settings: object) -> Iterator[RigMember]:
-    config = DRIVERS[driver].config_class()(**settings)
+    config = DRIVERS[driver].config(**settings)
     with double_device(driver, config) as device:
         yield RigMember(name, DRIVERS[driver], device, simulated=True)
 
@@ -109,7 +109,7 @@ def test_the_raw_bytes_say_what_the_frames_say() -> None:
 
 
 def test_a_device_that_cannot_be_opened_closes_the_others_and_is_named() -> None:
-    config = DRIVERS["optoforce"].config_class()(port="/dev/ttyNONE")
+    config = DRIVERS["optoforce"].config(port="/dev/ttyNONE")
     missing = RigMember("wrist", DRIVERS["optoforce"], DRIVERS["optoforce"].make(config))
     before = threading.active_count()
     with doubled("optoforce", "tip") as tip:
@@ -122,9 +122,9 @@ def test_a_device_that_cannot_be_opened_closes_the_others_and_is_named() -> None
 
 
 def test_a_cable_pulled_out_is_an_item_and_the_others_go_on() -> None:
-    config = DRIVERS["optoforce"].config_class()()
+    config = DRIVERS["optoforce"].config()
     with wire_of("optoforce", config, "") as wire, doubled("dsa", "pads") as pads:
-        device = DRIVERS["optoforce"].make(DRIVERS["optoforce"].config_class()(port=wire.port))
+        device = DRIVERS["optoforce"].make(DRIVERS["optoforce"].config(port=wire.port))
         with RigSource([RigMember("tip", DRIVERS["optoforce"], device), pads]) as source:
             gather(source, lambda seen: len(frames_of(seen, "tip")) > 10)
             wire.unplug()
@@ -196,7 +196,7 @@ def test_a_recording_of_files_ends_with_them(tmp_path: Path) -> None:
     for number in range(3):
         cv2.imwrite(str(tmp_path / f"{number}.png"), np.full((8, 8, 3), number, np.uint8))
     driver = DRIVERS["image_folder"]
-    device = driver.make(driver.config_class()(path=str(tmp_path), fps=50.0))
+    device = driver.make(driver.config(path=str(tmp_path), fps=50.0))
     keeper = Keeper()
     with RigSource([RigMember("camera", driver, device)]) as source:
         run(source, live_stages((), {}, lambda items: source.ended), keeper)
@@ -207,9 +207,9 @@ def test_a_recording_of_files_ends_with_them(tmp_path: Path) -> None:
 
 def test_a_device_that_is_gone_for_good_is_a_loss_by_time() -> None:
     """Its counter cannot know."""
-    config = DRIVERS["optoforce"].config_class()()
+    config = DRIVERS["optoforce"].config()
     with wire_of("optoforce", config, "") as wire:
-        device = DRIVERS["optoforce"].make(DRIVERS["optoforce"].config_class()(port=wire.port))
+        device = DRIVERS["optoforce"].make(DRIVERS["optoforce"].config(port=wire.port))
         with RigSource([RigMember("tip", DRIVERS["optoforce"], device)]) as source:
             gather(source, lambda seen: len(frames_of(seen, "tip")) > 200)
             wire.unplug()

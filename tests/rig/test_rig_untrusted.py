@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from deformscope.cli import main
 from deformscope.errors import InputError
-from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.rig_file import FILE_BYTES, SYSTEM_FOLDERS, Rig, load_rig, parse_rig, system_library
 from deformscope_drivers.depth_camera.discovery import list_by_openni
 from deformscope_drivers.errors import NotConnected
+from deformscope_drivers.interface import DRIVERS
 from deformscope_drivers.transport import SerialTransport, open_bus
 from tests.cases import Capture, Patch
 from tests.patience import PATIENCE_S
@@ -220,7 +220,7 @@ def rig_texts(draw: st.DrawFn) -> str:
     driver = draw(st.sampled_from(sorted(DRIVERS)))
     section = draw(st.sampled_from(sorted(SECTIONS)))
     lines = ["[devices.a]", f'driver = "{driver}"']
-    for kind, keys in ((DRIVERS[driver].config_class(), 3), (SECTIONS[section], 2)):
+    for kind, keys in ((DRIVERS[driver].config, 3), (SECTIONS[section], 2)):
         names = [field.name for field in dataclasses.fields(kind)]
         chosen = draw(st.lists(st.sampled_from(names), max_size=keys, unique=True))
         lines += [f"{name} = {toml(draw(values))}" for name in chosen]

@@ -11,7 +11,9 @@ from deformscope.robot.readings import ArmSample, ForceSample, RobotObservation
 from deformscope.robot.setup import T_BASE_SURFACE
 from deformscope.robot.supervisor import Fault, Limits, Supervisor
 from deformscope_drivers.arm.kinematics import Chain, FloatArray
-from deformscope_drivers.arms import CHAINS
+from deformscope_drivers.arms import chains
+
+CHAINS = chains()
 
 PERIOD_NS = 10_000_000
 

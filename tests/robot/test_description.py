@@ -20,9 +20,11 @@ from deformscope.robot.setup import RigParts
 from deformscope.robot.touch import TouchPlan
 from deformscope.robot.urdf_shapes import read_urdf
 from deformscope_drivers.arm.kinematics import rotation_from_rpy, transform
-from deformscope_drivers.arms import CHAINS
+from deformscope_drivers.arms import chains
 from deformscope_drivers.jaco import urdf_path
 from deformscope_drivers.jaco.chains import J2N6S300
+
+CHAINS = chains()
 
 PLACEMENT = Placement(transform(rotation_from_rpy(0.1, -0.2, 2.0), (0.3, -0.5, 0.04)), Tool())
 POSE_DEG = np.add(J2N6S300.home_deg, (10.0, -5.0, 8.0, 30.0, -20.0, 40.0))

@@ -18,7 +18,7 @@ from deformscope.robot.supervisor import Fault, Limits, SafetyDecision
 from deformscope.robot.touch import Phase, run_touch
 from deformscope.robot.travel import move_joints, move_tip
 from deformscope_drivers.arm.kinematics import Chain, FloatArray, least_singular, off_course
-from deformscope_drivers.arms import CHAINS as ARMS
+from deformscope_drivers.arms import chain_of
 from deformscope_drivers.jaco.chains import CHAINS, J2N6S300, J2S7S300
 from deformscope_drivers.jaco.structures import PositionType
 from studies.springy_foam import SpringyFoam
@@ -276,7 +276,7 @@ def test_points_that_are_left_out_do_not_add_up_and_turning_by_itself_does() -> 
 def test_what_leads_into_a_singularity_slows_down_within_15_degrees_of_it(fifth_deg: float) -> None:
     """A KUKA's wrist is singular where its fifth axis is 0: turned straight towards it, what is found beforehand is the
     angle that is left."""
-    chain = ARMS["kr6r900sixx"]
+    chain = chain_of("kr6r900sixx")
     joints = np.array([0.0, -90.0, 100.0, 0.0, fifth_deg, 0.0])
     jacobian = chain.jacobian(joints)
     towards = np.array([0.0, 0.0, 0.0, 0.0, -1.0, 0.0])

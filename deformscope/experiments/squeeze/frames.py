@@ -10,7 +10,7 @@ import numpy as np
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.experiments.squeeze.tracking import TrackedImage
-from deformscope.frames import ArmFrame, DepthFrame, Frame, HandFrame, Item, Pad, Stream, TactileFrame
+from deformscope.frames import ArmFrame, DepthFrame, Frame, HandFrame, Item, PadLayout, Stream, TactileFrame
 from deformscope.robot.squeeze_plan import CLOSING_AXES
 from deformscope.session import Moment, SessionRecorder, Step, measuring, with_costs
 from deformscope.stages.see.tactile import tactile_contact
@@ -58,7 +58,7 @@ class TactileSource:
         return [frame.pressure_pa[at] for at in self.pads]
 
 
-def _distal(pads: Sequence[Pad], finger: int, device: str) -> int:
+def _distal(pads: Sequence[PadLayout], finger: int, device: str) -> int:
     for pad in pads:
         if pad.finger == finger and pad.part == 1:
             return pad.index

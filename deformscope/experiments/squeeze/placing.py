@@ -38,7 +38,7 @@ from deformscope.stages.squeeze.find import MOVED_SD, compare, find_container, m
 from deformscope.stages.squeeze.patch import hand_pixels, median_of
 from deformscope.stages.squeeze.placement import ContainerFit, ContainerSighting, HandPlacement
 from deformscope.stages.squeeze.trial import SqueezePhase, SqueezeStop
-from deformscope_drivers.arms import CHAINS
+from deformscope_drivers.arms import chains
 from deformscope_drivers.errors import DeviceError
 
 LOOK_S, LOOKS = 0.6, 3
@@ -254,7 +254,7 @@ def sight(
     T_base_camera = geometry.T_arm_camera
     assert geometry.T_arm_table is not None
     assert geometry.T_arm_hand is not None
-    links = CHAINS[geometry.arm_model].forward(arm.joint_deg)
+    links = chains()[geometry.arm_model].forward(arm.joint_deg)
     capsules = link_capsules(links, np.eye(4)) + moved(
         hand_capsules(np.asarray(hand.position_deg, np.float64)), links[-1] @ geometry.T_arm_hand
     )

@@ -7,7 +7,7 @@ import numpy as np
 import rerun as rr
 
 from deformscope.arrays import FloatArray, IntArray
-from deformscope.frames import Pad, Stream, TactileFrame
+from deformscope.frames import PadLayout, Stream, TactileFrame
 from deformscope.log.canvas import TEXT
 from deformscope.log.rig import columns as sent
 from deformscope.pictures.palette import BACKGROUND, colors, round_up, tints_of
@@ -30,14 +30,14 @@ class Hand:
     pads: pads in the device's order; corners: (row, column) corners of each one's first texel, in texels; rows,
     columns: size of the whole picture; texel_mm: (width, height) size of a texel"""
 
-    pads: tuple[Pad, ...]
+    pads: tuple[PadLayout, ...]
     corners: tuple[tuple[int, int], ...]
     rows: int
     columns: int
     texel_mm: tuple[float, float]
 
     @classmethod
-    def of(cls, pads: Sequence[Pad]) -> "Hand":
+    def of(cls, pads: Sequence[PadLayout]) -> "Hand":
         """The picture of a hand: fingers from left to right, with the part farthest from the palm on top."""
         fingers: dict[int, list[int]] = {}
         for place in sorted(range(len(pads)), key=lambda place: (pads[place].finger, -pads[place].part)):
@@ -63,7 +63,9 @@ class Hand:
     def of_shapes(cls, shapes: Sequence[tuple[int, ...]]) -> "Hand":
         """Pads of which only the texels are known: they are drawn side by side."""
         texel_m = (TEXEL_MM * 1e-3, TEXEL_MM * 1e-3)
-        return cls.of([Pad(f"pad {at}", shape[0], shape[1], texel_m, at, at, 0) for at, shape in enumerate(shapes)])
+        return cls.of(
+            [PadLayout(f"pad {at}", shape[0], shape[1], texel_m, at, at, 0) for at, shape in enumerate(shapes)]
+        )
 
     @property
     def size_mm(self) -> tuple[float, float]:

@@ -16,7 +16,7 @@ from deformscope_drivers.arm.kinematics import Chain, FloatArray
 from deformscope_drivers.clock import Clock, Stamp, monotonic_ns
 from deformscope_drivers.device import RECONNECT, Device, Reconnect
 from deformscope_drivers.errors import DeviceError, LinkLost, MotionStopped, NotMovedByCommands, NotStopped, OutOfLimits
-from deformscope_drivers.health import Link
+from deformscope_drivers.health import Description, Link
 
 # The state that an arm reports
 
@@ -33,7 +33,7 @@ class ArmState:
     position_m: (3,) position of the end effector in the base frame
     theta_rad: (3,) its rotation about x, the new y, the new z; wrench: (6,) force [N] and torque [Nm] at the end
     effector as the arm estimates them, in the base frame; nan = not known
-    fingers: fingers of a gripper, as its driver says; fifo_count: points that wait in the arm
+    fingers: fingers of a gripper, 0 open to 1 closed; fifo_count: points that wait in the arm
     currents: (n,) currents of the joints' motors, in the units of the arm's controller, empty where not known"""
 
     stamp: Stamp
@@ -138,6 +138,9 @@ class Arm(Device[StateT]):
     def urdf(self) -> Path | None:
         """The URDF file that describes the arm for viewers, or None."""
         return None
+
+    def describe(self) -> Description:
+        return Description(self.state_hz, urdf=self.urdf)
 
     @property
     def homed(self) -> bool:

@@ -19,7 +19,7 @@ from deformscope_drivers.dsa.config import DsaConfig
 from deformscope_drivers.dsa.measurer import TactileMeasurer, TactileReading, TimestampStatus
 from deformscope_drivers.dsa.pads import FloatArray, Pad, PadContact, pad_contact, to_pressure
 from deformscope_drivers.dsa.protocol import Decoder, encode, stop, stream
-from deformscope_drivers.health import Identity
+from deformscope_drivers.health import Description, Identity, PadLayout
 from deformscope_drivers.transport import SerialTransport, Transport
 
 BAUDRATE = 115_200
@@ -112,6 +112,22 @@ class Dsa(StreamDevice[TactileReading]):
             pad_contact(counts, pressure_pa, matrix)
             for counts, pressure_pa, matrix in zip(reading.pads, pressures_pa, self.matrices, strict=True)
         ]
+
+    def describe(self) -> Description:
+        pads = tuple(
+            PadLayout(
+                pad.name,
+                matrix.cells_y,
+                matrix.cells_x,
+                (matrix.texel_width_mm / 1e3, matrix.texel_height_mm / 1e3),
+                index,
+                pad.finger,
+                int(pad.part),
+            )
+            for index, (pad, matrix) in enumerate(zip(self.pads, self.matrices, strict=True))
+        )
+        full = to_pressure([np.array([[messages.TEXEL_MAX]], np.uint16)] * len(pads), self.config.calibration)
+        return Description(pads=pads, full_scale_pa=float(max(map(np.max, full))))
 
     def identity(self) -> Identity:
         """Identity that the controller reported while connecting."""

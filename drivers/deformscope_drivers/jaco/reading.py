@@ -14,6 +14,7 @@ from deformscope_drivers.arm.kinematics import Chain, euler_xyz_from_rotation
 from deformscope_drivers.clock import Clock, Stamp
 from deformscope_drivers.jaco.library import Functions, read
 from deformscope_drivers.jaco.structures import (
+    FINGER_CLOSED,
     HOMED,
     AngularPosition,
     CartesianPosition,
@@ -33,7 +34,7 @@ class JacoState(ArmState):
 
     Rates are from the angles of the last 40 ms, the pose is from the angles. wrench: force and torque at the end
     effector. The joints' torque sensors drift, so that it is some newtons without contact; its direction was not
-    verified on an arm; fingers: (3,) from 0 open to 6800 closed
+    verified on an arm; fingers: (3,) from 0 open to 1 closed
     sweep_s: by how much wrench, torques, currents and fifo_count may be older than the angles; currents_a: (n,)
     supply_v, supply_a: its main supply; temperatures_deg_c: (n,) temperatures of the joints; homed: whether it was at
     home since it was switched on; these are read once a second"""
@@ -151,7 +152,7 @@ class StateReader:
             position_m=(x, y, z),
             theta_rad=(theta_x, theta_y, theta_z),
             wrench=cartesian_values(cast(CartesianPosition, self._read["GetCartesianForce"]).Coordinates),
-            fingers=finger_values(joints.Fingers),
+            fingers=tuple(one / FINGER_CLOSED for one in finger_values(joints.Fingers)),
             fifo_count=fifo.TrajectoryCount,
             supply_v=sensors.Voltage,
             supply_a=sensors.Current,

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from deformscope_drivers.clock import Clock, ClockFit, Unwrap, monotonic_ns
 from deformscope_drivers.device import ROUND_S, StreamDevice
 from deformscope_drivers.errors import CommandRefused, NoReply, SettingsRefused
-from deformscope_drivers.health import Identity, Link
+from deformscope_drivers.health import Description, Identity, Link
 from deformscope_drivers.optoforce import protocol
 from deformscope_drivers.optoforce.config import OptoforceConfig, filter_of, speed_of
 from deformscope_drivers.optoforce.counter import WRAP, CounterStep, Gap
@@ -99,6 +99,10 @@ class Optoforce(StreamDevice[ForceMeasurement]):
     def identity(self) -> Identity:
         """The sensors of the DAQ, and its serial number if it was requested."""
         return Identity(f"OptoForce {self._measurer.kind.value}" if self._measurer.kind else "OptoForce", self._serial)
+
+    def describe(self) -> Description:
+        channels = 4 if self.kind is protocol.Kind.FOUR_CHANNEL else 1
+        return Description(self.config.rate_hz, channels, self.kind is protocol.Kind.SIX_AXIS)
 
     def serial_number(self) -> str:
         """The serial number; raises NoReply with firmware that has none."""

@@ -1,0 +1,201 @@
+"""Drivers are found by entry points, those of this project and those of strangers alike."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from deformscope_drivers import interface
+from deformscope_drivers.errors import DeviceError
+from deformscope_drivers.interface import DRIVERS, DeviceDriver, Drivers
+from deformscope_drivers.new_package import write_package
+from tests.patience import PATIENCE_S
+
+ALONE = """
+import importlib, pkgutil, sys, threading
+class Alone:
+    \"\"\"What a computer with numpy, pyserial and python-can alone has.\"\"\"
+    def find_spec(self, name, path=None, target=None):
+        top = name.partition(".")[0]
+        if top not in sys.stdlib_module_names and top not in {"numpy", "serial", "can", "deformscope_drivers"} | SEEN:
+            raise ModuleNotFoundError(name)
+import can
+SEEN = {name.partition(".")[0] for name in sys.modules}
+sys.meta_path.insert(0, Alone())
+import deformscope_drivers
+for module in pkgutil.walk_packages(deformscope_drivers.__path__, "deformscope_drivers."):
+    if ".contract" not in module.name:
+        importlib.import_module(module.name)
+print("imported")
+"""
+
+
+def python(*arguments: str, path: Path | None = None) -> subprocess.CompletedProcess[str]:
+    folders = [str(path)] if path is not None else []
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([*folders, *(one for one in sys.path if one)])}
+    command = [sys.executable, "-W", "ignore", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, env=environment, timeout=PATIENCE_S)
+
+
+def deformscope(*arguments: object, path: Path | None = None) -> subprocess.CompletedProcess[str]:
+    words = list(map(str, arguments))
+    return python("-c", "import sys; from deformscope.cli import main; sys.exit(main(sys.argv[1:]))", *words, path=path)
+
+
+def install(folder: Path, name: str, module: str, content: str) -> None:
+    """A package as pip leaves it: its module, and the entry point in its metadata."""
+    if content:
+        (folder / f"{module}.py").write_text(content)
+    about = folder / f"deformscope_{name}-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: deformscope-{name}\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text(f"[{interface.GROUP}]\n{name} = {module}:DRIVER\n")
+
+
+def test_the_drivers_need_numpy_pyserial_and_python_can_alone() -> None:
+    ran = python("-c", ALONE)
+    assert ran.stdout == "imported\n", ran.stderr
+
+
+def test_each_driver_of_this_project_can_be_loaded() -> None:
+    for name in DRIVERS:
+        assert (DRIVERS[name].name, DRIVERS[name].interface) == (name, interface.VERSION)
+
+
+def test_only_the_driver_of_the_rig_is_imported() -> None:
+    script = """
+import sys
+from deformscope.rig.rig_file import parse_rig
+rig = parse_rig('[devices.tip]\\ndriver = "optoforce"\\nport = "/dev/x"', "rig")
+print([name for name in ("jaco", "kuka", "dsa", "webcam") if f"deformscope_drivers.{name}" in sys.modules])
+"""
+    assert python("-c", script).stdout == "[]\n"
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("import nowhere_to_be_found", "expected a package that can be imported; got ModuleNotFoundError"),
+        ("DRIVER = 3", "expected a DeviceDriver of interface 1; got none"),
+        (
+            "from deformscope_drivers import interface\nDRIVER = interface.DeviceDriver('arm', int, int, interface=9)",
+            "expected a DeviceDriver of interface 1; got 9",
+        ),
+    ],
+)
+def test_a_package_that_cannot_be_used_is_refused_where_a_rig_names_it(
+    content: str, words: str, tmp_path: Path
+) -> None:
+    install(tmp_path, "broken", "broken_package", content)
+    (tmp_path / "rig.toml").write_text('[devices.tip]\ndriver = "broken"\n')
+    ran = deformscope("doctor", tmp_path / "rig.toml", path=tmp_path)
+    assert ran.returncode == 2
+    assert words in ran.stderr
+    assert "driver broken (broken_package:DRIVER)" in ran.stderr
+    assert len(ran.stderr.splitlines()) <= 5
+    found = python("-c", "from deformscope_drivers.arms import chains; print(len(chains()))", path=tmp_path)
+    assert int(found.stdout) >= 5, "others still work"
+
+
+def test_an_unknown_name_is_no_driver() -> None:
+    assert "franka" not in DRIVERS
+    with pytest.raises(KeyError):
+        DRIVERS["franka"]
+
+
+def test_a_driver_has_the_name_of_its_entry_point(monkeypatch: pytest.MonkeyPatch) -> None:
+    import importlib.metadata
+
+    entry = importlib.metadata.EntryPoint("mine", "deformscope_drivers.optoforce.driver:DRIVER", interface.GROUP)
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: [entry])
+    found = Drivers()
+    assert found["mine"].name == "mine"
+    assert isinstance(found["mine"], DeviceDriver)
+    assert "optoforce" in found, "the checkout's own are there too"
+
+
+def test_an_entry_point_that_leads_nowhere_names_its_package(monkeypatch: pytest.MonkeyPatch) -> None:
+    import importlib.metadata
+
+    entry = importlib.metadata.EntryPoint("lost", "deformscope_lost:DRIVER", interface.GROUP)
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: [entry])
+    with pytest.raises(DeviceError, match="deformscope_lost"):
+        Drivers()["lost"]
+    assert Drivers().of_kind("wrench"), "a broken one does not hide the others"
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A recording of a stranger's force sensor, and the folder in which its package is installed."""
+    folder, site = tmp_path_factory.mktemp("rig"), tmp_path_factory.mktemp("site")
+    package = write_package(folder, "mysensor", "force")
+    shutil.copytree(package / "deformscope_mysensor", site / "deformscope_mysensor")
+    install(site, "mysensor", "deformscope_mysensor", "")
+    rig = folder / "rig.toml"
+    rig.write_text('[devices.tip]\ndriver = "mysensor"\ndouble = true\nn_per_count = 0.02\n')
+    ran = deformscope("record", rig, "--seconds", "1.5", "--record", folder / "run.rrd", path=site)
+    assert ran.returncode in (0, 3), ran.stderr  # 3: a busy machine
+    return folder / "run.rrd", site
+
+
+def test_a_strangers_sensor_is_recorded_and_decoded_again(recorded: tuple[Path, Path], tmp_path: Path) -> None:
+    recording, site = recorded
+    ran = deformscope("replay", recording, "--json", tmp_path / "replay.json", path=site)
+    assert ran.returncode == 0, ran.stderr
+    (device,) = json.loads((tmp_path / "replay.json").read_text())["devices"]
+    assert device["driver"] == "mysensor"
+    assert device["compared"] == device["frames"] > 50
+    assert device["difference"] == ""
+
+
+def test_without_its_package_a_recording_opens_verifies_and_is_exported(
+    recorded: tuple[Path, Path], tmp_path: Path
+) -> None:
+    recording, _ = recorded
+    assert deformscope("verify", recording).returncode == 0
+    ran = deformscope("export", recording, "--to", "csv", "--out", tmp_path / "csv")
+    assert ran.returncode in (0, 3), ran.stderr
+    assert "force" in "".join(path.read_text() for path in (tmp_path / "csv").rglob("*.csv"))
+    ran = deformscope("replay", recording)
+    assert ran.returncode == 0, ran.stderr
+    assert "no package of driver mysensor is installed" in ran.stdout + ran.stderr
+    assert deformscope("catalog", recording.parent).returncode == 0
+
+
+def test_a_key_that_its_driver_does_not_have_is_refused(recorded: tuple[Path, Path], tmp_path: Path) -> None:
+    _, site = recorded
+    (tmp_path / "rig.toml").write_text('[devices.tip]\ndriver = "mysensor"\nn_per_cuont = 0.02\n')
+    ran = deformscope("doctor", tmp_path / "rig.toml", path=site)
+    assert ran.returncode == 2
+    assert "'n_per_cuont'" in ran.stderr
+    assert "n_per_count" in ran.stderr
+
+
+@pytest.mark.parametrize("kind", ["force", "camera"])
+def test_a_new_package_passes_its_tests_as_it_is(kind: str, tmp_path: Path) -> None:
+    ran = deformscope("new-device", "mydevice", "--kind", kind, "--out", tmp_path)
+    assert ran.returncode == 0, ran.stderr
+    folder = tmp_path / "mydevice"
+    ran = python("-m", "pytest", "-q", "-c", str(folder / "pyproject.toml"), str(folder / "tests"), path=folder)
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    assert " passed" in ran.stdout
+    assert deformscope("new-device", "mydevice", "--kind", kind, "--out", tmp_path).returncode == 2, "it exists"
+
+
+@pytest.mark.parametrize("name", ["optoforce", "My-Sensor", "", "x" * 41])
+def test_a_name_that_cannot_be_used_is_refused(name: str, tmp_path: Path) -> None:
+    ran = deformscope("new-device", name, "--kind", "force", "--out", tmp_path)
+    assert ran.returncode == 2
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_documented_driver_is_the_one_that_is_written(tmp_path: Path) -> None:
+    """The tests of that one are above: the page needs none of its own."""
+    page = (Path(__file__).parents[2] / "drivers" / "interface.md").read_text(encoding="utf-8")
+    written = write_package(tmp_path, "mysensor", "force") / "deformscope_mysensor" / "__init__.py"
+    assert page.count("```python\n") == 1
+    assert page.partition("```python\n")[2].partition("```")[0] == written.read_text(encoding="utf-8")
