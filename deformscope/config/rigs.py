@@ -273,8 +273,8 @@ class ImportConfig(RecordedOptions):
 
 @dataclass(frozen=True, slots=True)
 class NewDeviceConfig(CommandOptions):
-    """Write a package for a device of your own: driver, double, tests and README. It passes its tests as it is, and
-    works in a rig file after `pip install`. Replace its example by your device."""
+    """Write a package for a device of your own: driver, double, tests and README. It passes its tests, and works
+    in a rig file after `pip install`. Replace its example by your device."""
 
     name: Annotated[str, Positional, arg(metavar="NAME")]
     """Name of the driver in rig files, and of the folder."""

@@ -255,7 +255,7 @@ class PadLayout:
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """What an open device says of its readings.
+    """Properties of an open device's readings.
 
     rate_hz: rate to which it was set, 0 = not known; channels: channels of a force sensor; torques: whether it measures
     them; pads: layout of a tactile sensor; full_scale_pa: pressure of its largest count [Pa], 0 = not known

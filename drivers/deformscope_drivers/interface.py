@@ -169,7 +169,7 @@ def _no_chains() -> "Mapping[str, Chain]":
 
 @dataclass(frozen=True, slots=True)
 class DeviceDriver:
-    """What a package says of a driver.
+    """A package's description of a driver.
 
     kind: kind of its frames
     config: its configuration, a frozen dataclass, most often with a default for each field. The fields are the keys in
@@ -183,7 +183,7 @@ class DeviceDriver:
     redecoder: makes readings from its recorded bytes; None = it exchanges none
     lacks: what a configuration lacks for values in SI units, in words; empty = nothing; complete: the same
     configuration with what it lacks, as that of the double; example: makes a configuration, None = of its defaults
-    chains: of an arm, its kinematics by `config.model`; probed: it can be opened with only its port or bus, without a
+    chains: an arm's kinematics by `config.model`; probed: it can be opened with only its port or bus, without a
     motion; interface: version of this interface; name: that of its entry point, set where it is found"""
 
     kind: Kind

@@ -16,7 +16,7 @@ from deformscope_drivers.framing import Skipped
 from deformscope_drivers.interface import VERSION, DeviceDriver, Kind
 
 LOAD = (2.0, -3.0, 8.0, 0.02, -0.03, 0.04)
-"""Force and torque that a force sensor feels in the test, after it was zeroed [N, N m]."""
+"""Load of a force sensor in the test, after it was zeroed [N, N m]."""
 TIMES_READ = 40
 
 
