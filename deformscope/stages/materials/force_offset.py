@@ -1,8 +1,8 @@
 """The force at a video's frames, by a log whose clock, zero and lag are its own.
 
 At the right time the log is a smooth function of the depth that starts at zero: a cubic polynomial, as a display with a
-time constant shows it. Offset and time constant with the least error are the estimate; their probability
-has the errors' own correlation in time."""
+time constant shows it. The likeliest offset and time constant are the estimate; their probability has the errors' own
+correlation in time, the scatter and step of the readings, and `LIKELY`: a lag and a later offset explain a rise alike."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,6 +21,10 @@ which a slow display may not have shown in full at the last frame."""
 DEGREE = 3
 LAGS_S = np.append(0.0, np.geomspace(0.1, 1.5, 16))
 """Time constants of a display: 0, and those of kitchen scales; less than these looks like a delay."""
+LIKELY = np.append(1.0, 0.3 * (_falling := np.exp(-LAGS_S[1:] / 0.3)) / _falling.sum())
+"""Probability of each, up to a factor: three of four displays show at once, and long lags are rare."""
+UNSHOWN = 1.2
+"""Largest force at the last frame, as a share of what the log shows at any time."""
 TRIED, FINE = 6000, 1201
 """Most offsets that are tried at first, and near the best of them."""
 NEAR_S = 2.5
@@ -53,7 +57,7 @@ def find_offset(
     if given is None:
         begin, end = float(log.time_s[0]) - float(time_s[-1]), float(log.time_s[-1])
         offsets = np.linspace(begin, end, min(TRIED, int((end - begin) / step) + 2))
-        errors = _errors(offsets, time_s, _lagged(time_s, depth, 0.0), log)
+        errors, _ = _errors(offsets, time_s, _lagged(time_s, depth, 0.0), log)
         if not np.isfinite(errors).any():
             came = f"one of {np.ptp(log.force_n):.2g} N over {np.ptp(log.time_s):.3g} s that does not overlap with it"
             raise InputError("a force log that has the push of the video", came, HINT)
@@ -62,20 +66,22 @@ def find_offset(
         offsets = np.array([given])
     columns = [_lagged(time_s, depth, float(lag)) for lag in LAGS_S]
     least = 1.0 if given is None else 0.0
-    errors = np.stack([_errors(offsets, time_s, one, log, least) for one in columns])  # (lags, offsets)
+    both = np.stack([_errors(offsets, time_s, one, log, least) for one in columns])
+    errors, forces = both[:, 0], both[:, 1]  # (lags, offsets)
+    errors[forces > UNSHOWN * np.ptp(log.force_n)] = np.nan
     if not np.isfinite(errors).any():
         return ForceOffset(float(offsets[0]), (float(offsets[0]),) * 2, 0.0, log.at(time_s + offsets[0]), 0.0)
     lag, at = np.unravel_index(int(np.nanargmin(errors)), errors.shape)
-    left, inside = _left(float(offsets[at]), time_s, columns[lag], log)
+    left = _left(float(offsets[at]), time_s, columns[lag], log)
     worth = 0.5 * len(left) * (1.0 - _correlation(left)) / (1.0 + _correlation(left))
-    floor = (2e-4 * float(np.ptp(log.force_n))) ** 2
-    chance = np.where(np.isfinite(errors), -worth * np.log(np.maximum(errors, floor)), -np.inf)
+    reading = log.zero_sd_n**2 + np.diff(np.unique(log.force_n)).min(initial=np.inf) ** 2 / 12.0
+    noise = reading + (2e-4 * float(np.ptp(log.force_n))) ** 2
+    chance = np.log(LIKELY)[:, None] - worth * np.log(np.where(np.isfinite(errors), errors + noise, np.inf))
     chance = np.exp(chance - chance.max())
-    rows = np.argwhere(chance > 1e-4)
-    forces = np.stack([_force(float(offsets[j]), time_s, columns[i], log) for i, j in rows])
-    weights = chance[tuple(rows.T)] / chance[tuple(rows.T)].sum()
-    order = np.argsort(forces[:, -1])
-    ends = np.interp([0.16, 0.84], np.cumsum(weights[order]), forces[order, -1])
+    lag, at = np.unravel_index(int(chance.argmax()), chance.shape)
+    order = np.argsort(forces[chance > 1e-4])
+    weights, ends = chance[chance > 1e-4][order], forces[chance > 1e-4][order]
+    ends = np.interp([0.16, 0.84], np.cumsum(weights) / weights.sum(), ends)
     spread, force_n = 0.5 * float(ends[1] - ends[0]), _force(float(offsets[at]), time_s, columns[lag], log)
     best = float(offsets[at])
     if given is not None:
@@ -83,7 +89,8 @@ def find_offset(
     density = chance.sum(axis=0)
     low, high = Posterior(offsets, density / np.trapezoid(density, offsets)).shortest(level, best)
     rising = time_s[(depth > 0.1 * depth.max()) & (depth < 0.9 * depth.max())]
-    share = 1.0 - float(errors[lag, at]) / max(float(np.var(log.at(time_s[inside] + best))), 1e-300)
+    measured = log.at(time_s[log.has(time_s + best)] + best)
+    share = 1.0 - float(errors[lag, at]) / max(float(np.var(measured)), 1e-300)
     if share < SHARED or high - low > max(float(np.ptp(rising)) if len(rising) else 0.0, 2.0 * step):
         came = f"not determined: {low:.3g} to {high:.3g} s, of which {max(share, 0.0):.0%} of the force is explained"
         raise InputError("a force log whose rise is that of the motion", came, HINT)
@@ -120,11 +127,11 @@ def _lagged(time_s: FloatArray, depth: FloatArray, lag_s: float) -> FloatArray:
     return np.column_stack([shown, np.ones(len(share)), powers])
 
 
-def _left(offset: float, time_s: FloatArray, columns: FloatArray, log: _SmoothForce) -> tuple[FloatArray, BoolArray]:
-    """(n,) errors of the best polynomial at the frames that the log has, and which those are (T,)."""
+def _left(offset: float, time_s: FloatArray, columns: FloatArray, log: _SmoothForce) -> FloatArray:
+    """(n,) errors of the best polynomial at the frames that the log has."""
     inside = log.has(time_s + offset)
     measured, some = log.at(time_s[inside] + offset), columns[inside, : DEGREE + 1]
-    return measured - some @ np.linalg.lstsq(some, measured, rcond=None)[0], inside
+    return measured - some @ np.linalg.lstsq(some, measured, rcond=None)[0]
 
 
 def _force(offset: float, time_s: FloatArray, columns: FloatArray, log: _SmoothForce) -> FloatArray:
@@ -138,22 +145,24 @@ def _force(offset: float, time_s: FloatArray, columns: FloatArray, log: _SmoothF
 def _errors(
     offsets: FloatArray, time_s: FloatArray, columns: FloatArray, log: PressForce, least: float = 1.0
 ) -> FloatArray:
-    """(n,) mean squared error at each offset [N^2], NaN where log and video do not share the rise. least: 0 = they
-    may share any part"""
+    """(2, n) mean squared error at each offset [N^2], NaN where log and video do not share the rise, and the force at
+    the last frame of `_force` [N]. least: 0 = they may share any part"""
     first = np.searchsorted(time_s, log.time_s[0] - offsets - 1e-9)
     last = np.searchsorted(time_s, log.time_s[-1] - offsets + 1e-9, side="right")
-    errors = np.full(len(offsets), np.nan)
+    errors, forces = np.full((2, len(offsets)), np.nan)
+    unshown = np.append((columns[-1, DEGREE + 1 :] - columns[-1, :DEGREE]), -1.0)
     for begin, end in np.unique(np.stack([first, last], axis=1), axis=0):
         rows = np.flatnonzero((first == begin) & (last == end))
         some, depth = columns[begin:end, : DEGREE + 1], columns[begin:end, DEGREE + 1]
         if end - begin <= DEGREE + 3 or not np.ptp(depth) >= least * SHARED * np.ptp(columns[:, DEGREE + 1]):
             continue
         measured = log.at(time_s[begin:end] + offsets[rows, None])
-        basis, _ = np.linalg.qr(some)
-        left = measured - (measured @ basis) @ basis.T
+        found = measured @ np.linalg.pinv(some).T
+        left = measured - found @ some.T
+        forces[rows] = log.at(time_s[-1] + offsets[rows]) + found @ unshown
         enough = np.ptp(measured, axis=1) >= least * RISEN * np.ptp(log.force_n)
         errors[rows] = np.where(enough, np.mean(left**2, axis=1), np.nan)
-    return errors
+    return np.stack([errors, forces])
 
 
 def _correlation(left: FloatArray) -> float:

@@ -58,6 +58,28 @@ def test_offsets_are_within_a_frame_and_their_intervals_hold(rate_hz: float) -> 
     assert held >= 15  # of 20 at .9, fewer than that have a chance of .01
 
 
+def test_a_short_push_and_its_end_in_view_are_not_taken_for_an_earlier_one_on_a_slow_display() -> None:
+    near = held = refused = 0
+    frames = np.arange(30) / 30.0
+    for seed in range(20):
+        rng = np.random.default_rng([seed, 1])
+        depth = 30.0 * depth_at(frames, begin_s=0.2, rise_s=0.67)
+        depth += 0.15 * lfilter([0.66], [1.0, -0.75], rng.standard_normal(len(frames)))  # flow shares its errors
+        dense = np.arange(0.0, 5.0, 0.02)
+        force = force_of(depth_at(dense - 2.3, begin_s=0.2, rise_s=0.67)) / 5.0 + 2e-3 * rng.standard_normal(len(dense))
+        try:
+            found = find_offset(frames, depth, PressForce(dense, force, 2e-3), 0.9)
+        except InputError:
+            refused += 1
+            continue
+        near += abs(found.value - 2.3) <= 1.0 / 30.0
+        held += found.interval[0] <= 2.3 <= found.interval[1]
+        assert found.force_n[-1] == pytest.approx(1.0, rel=0.05)
+    assert refused <= 2
+    assert near >= 16
+    assert held >= 16
+
+
 @pytest.mark.parametrize("lag_s", [0.2, 0.5])
 def test_a_slow_display_does_not_delay_the_push_and_its_last_reading_is_completed(lag_s: float) -> None:
     rng = np.random.default_rng(1)
