@@ -29,6 +29,7 @@ from deformscope.stages.fit.calibrate import Calibration, FitOptions, Progress, 
 from deformscope.stages.fit.estimate import Doubt
 from deformscope.stages.fit.model import Observation
 from deformscope.stages.materials.press_cycle import PressForce
+from deformscope.stages.see.camera_turn import CameraTurn
 from deformscope.stages.see.flow import FlowField, FlowStep, flow_onward
 from deformscope.stages.see.follow import Follower
 from deformscope.stages.see.particles import ParticleGrid, Tracked, advance, clean_mask, seed_grid, select_held, start
@@ -142,7 +143,11 @@ class ImagesSubject:
     def fit(self, config: BetaConfig | ThetaConfig, options: FitOptions, progress: Progress) -> Calibration:
         """The whole fit of that pose, with its force. Raises InputError."""
         times = [1e-9 * (one - self._times_ns[0]) for one in self._times_ns[: self.followed]]
-        pose = self.place(config)[0], self._history, times, self._particles(config)
+        grid = self.place(config)[0]
+        camera = CameraTurn(self._images[0], grid)
+        for image in self._images[1 : self.followed] if self._force[0] else ():
+            camera.look(image)
+        pose = grid, self._history, times, camera.turns(), self._particles(config)
         return fit_pose(*pose, options, progress, *self._force)
 
     def _particles(self, config: BetaConfig | ThetaConfig) -> ParticleOptions:

@@ -9,7 +9,7 @@ import pytest
 
 from studies.__main__ import main
 from studies.rendered_video import case, render
-from studies.videos import FilmOutcome, accuracy, compared, flags_of
+from studies.videos import FilmOutcome, VideosConfig, accuracy, compared, flags_of, trials
 
 SMALL = {"width_px": 320, "height_px": 240, "frames": 2, "rest": 1, "ramp": 1}
 ONE = FilmOutcome(
@@ -48,6 +48,12 @@ def test_errors_and_intervals_are_counted() -> None:
     assert (clock["near"].hits, clock["held"].hits) == (1, 2)
     slow = dataclasses.replace(ONE, lag_s=0.3)
     assert accuracy("all", [ONE, slow])[-1]["near"].cases == 1
+
+
+def test_seeds_that_an_earlier_count_looked_at_are_not_counted_again() -> None:
+    counted = [one.seed for some in trials(VideosConfig()) for one in some.cases]
+    assert min(counted) == 2140
+    assert max(one.seed for some in trials(VideosConfig(tuning=True)) for one in some.cases) < 2000
 
 
 @pytest.mark.slow

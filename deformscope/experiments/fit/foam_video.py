@@ -18,6 +18,7 @@ from deformscope.session import Experiment, Step, measuring
 from deformscope.stages.fit.calibrate import Calibration, FitOptions, Model, Observation, Progress, calibrate
 from deformscope.stages.fit.estimate import Comparison
 from deformscope.stages.materials.press_cycle import PressForce
+from deformscope.stages.see.camera_turn import CameraTurn
 from deformscope.stages.see.follow import Follower
 from deformscope.stages.see.particles import ParticleGrid, Rect, Tracked, seed_grid, select_held, start
 
@@ -57,11 +58,13 @@ def foam_video(
     """Follow particles through the frames, then fit the last pose and simulate every frame. mask: (H, W) True where the
     thing is in the first frame; push: force on the contact, if known; log: force over time, where `push` has none"""
     times: list[float] = []
-    grid, history = yield from track(particles, mask, times)
+    cameras: list[CameraTurn] | None = None if push is None else []
+    grid, history = yield from track(particles, mask, times, cameras)
     if len(history) < 2:
         raise InputError("at least two frames", "one", "a longer sequence, or a smaller --stride")
     with measuring("estimate"):
-        found = fit_pose(grid, history, times, particles, fit, progress, push, log)
+        turns = cameras[0].turns() if cameras else None
+        found = fit_pose(grid, history, times, turns, particles, fit, progress, push, log)
     for index, comparison in enumerate(follow(found.seen[-1], history, fit.model, found)):
         yield Step((comparison,), frame=index)
     yield Step((found.estimate,))
@@ -72,18 +75,20 @@ def fit_pose(
     grid: ParticleGrid,
     history: Sequence[Tracked],
     times: Sequence[float],
+    turns: FloatArray | None,
     particles: ParticleOptions,
     fit: FitOptions,
     progress: Progress | None = None,
     push: PushOptions | None = None,
     log: PressForce | None = None,
 ) -> Calibration:
-    """Fit the last pose of tracked particles. times: seconds of each frame since the first; push, log: `foam_video`"""
+    """Fit the last pose of tracked particles. times: seconds of each frame since the first; turns: of `CameraTurn`,
+    where there is a force; push, log: `foam_video`"""
     seen, used = last_pose(grid, history, particles)
-    if push is None:
+    if push is None or turns is None:
         return calibrate([seen], fit, settings=used, progress=progress)
     parts = particles.held, particles.contact_rect
-    pushed = with_force(seen, grid, history, times, *parts, push, log, fit.level)
+    pushed = with_force(seen, grid, history, times, turns, *parts, push, log, fit.level)
     found = calibrate([pushed.seen], fit, settings=used, progress=progress)
     return dataclasses.replace(found, estimate=found_by_force(found.estimate, pushed, push, fit.seed))
 
@@ -108,10 +113,14 @@ def last_pose(
 
 
 def track(
-    particles: ParticleOptions, mask: BoolArray | None = None, times: list[float] | None = None
+    particles: ParticleOptions,
+    mask: BoolArray | None = None,
+    times: list[float] | None = None,
+    cameras: list[CameraTurn] | None = None,
 ) -> Experiment[tuple[ParticleGrid, list[Tracked]]]:
     """Follow particles through the frames: their positions at rest, and at every frame. mask: (H, W) True where the
-    thing is in the first frame; times: where it is given, each frame's time after the first is added to it [s]"""
+    thing is in the first frame; times, cameras: where given, each frame's time after the first [s], and the camera
+    whose turns are followed, are added to them"""
     frame = yield Step()
     if frame is None:
         raise InputError("at least two frames", "none")
@@ -121,6 +130,8 @@ def track(
     began = frame.stamp
     if times is not None:
         times.append(0.0)
+    if cameras is not None:
+        cameras.append(CameraTurn(frame.image, grid))
     step = Step((grid, history[0]))
     follower = Follower(grid, frame.image.shape[:2])
     while True:
@@ -131,6 +142,8 @@ def track(
         history.append(there)
         if times is not None:
             times.append(1e-9 * (following.stamp.host_ns - began.host_ns))
+        for camera in cameras or ():
+            camera.look(following.image)
         step = Step((flow, there))
         frame = following
 

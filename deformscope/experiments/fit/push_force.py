@@ -24,6 +24,11 @@ GAIN, RESOLUTION_N = 0.02, 9.80665e-3
 """Standard deviation of a force that is not stated: a share of it, and 1 g."""
 
 
+TURN_SD, HAND_TURN = 2e-4, 2e-3
+"""Standard deviation of a camera's turn that was seen, and of one by a hand [rad]."""
+LOOSE = 0.03
+"""Standard deviation of a depth by the camera's turn from which it is named, as a share."""
+
 OF_IMAGES = ("nothing-moved", "rigid-motion", "axes-swapped", "unfit-images", "body-unsure")
 """Doubts of a fit that concern stiffness and modulus too, which do not rest on the fitted model."""
 
@@ -58,21 +63,30 @@ def with_force(
     grid: ParticleGrid,
     history: Sequence[Tracked],
     times: Sequence[float],
+    turns: FloatArray,
     parts: Sequence[str],
     contact: Rect | None,
     push: PushOptions,
     log: PressForce | None,
     level: float,
 ) -> Pushed:
-    """The last pose with the force on its contact. times: time of each frame after the first [s]; parts,
-    contact: what is held, and the footprint of the tool; log: the force over time, where `push` has none"""
-    seen = dataclasses.replace(seen, contact=_contact(seen, grid, parts, contact), scale_sd=push.scale_sd)
+    """The last pose with the force on its contact. times, turns: time of each frame after the first [s], and the
+    camera's turn since then [rad], NaN where it is not known; parts, contact: what is held, and the footprint of the
+    tool; log: the force over time, where `push` has none"""
+    known, turn = np.isfinite(turns), np.nan_to_num(turns)
+    seen = dataclasses.replace(
+        seen,
+        contact=_contact(seen, grid, parts, contact),
+        scale_sd=push.scale_sd,
+        turn=float(turn[-1]),
+        turn_sd=TURN_SD if known[-1] else HAND_TURN,
+    )
     offset, curve, spread = None, None, 0.0
     if log is None:
         assert push.force_n is not None
         force = push.force_n
     else:
-        moved, time_s = _depths(seen, history), np.asarray(times)
+        moved, time_s = _depths(seen, history, turn), np.asarray(times)
         _check_given(push.force_offset_s, time_s, log)
         offset = find_offset(time_s, moved, log, level, push.force_offset_s)
         force, spread = float(offset.force_n[-1]), offset.force_sd_n
@@ -107,6 +121,11 @@ def found_by_force(estimate: Estimate, pushed: Pushed, push: PushOptions, seed: 
     doubts = list(estimate.reasons)
     if seen.force_n > MOST_N:
         doubts.append(Doubt("units", f"a force of {seen.force_n:.3g} N: grams given as newtons?"))
+    if (turned := _depth_by_turn(seen)) > LOOSE:
+        text = (
+            f"the depth is off by {turned:.0%} if a hand turned the camera: film more of what is still around the body"
+        )
+        doubts.append(Doubt("unfit-images", text, "weak"))
     if push.thickness_m is None or seen.metres_per_unit is None:
         return dataclasses.replace(estimate, reasons=ordered(doubts))
     plane: Plane = "strain" if push.plane_strain else "stress"
@@ -135,14 +154,22 @@ def _contact(seen: Observation, grid: ParticleGrid, held: Sequence[str], contact
     return max(each, key=lambda one: float(np.linalg.norm(move[one].mean(axis=0))))
 
 
-def _depths(seen: Observation, history: Sequence[Tracked]) -> FloatArray:
-    """(T,) depth of the contact at each frame, along the push [px]."""
+def _depth_by_turn(seen: Observation) -> float:
+    """Standard deviation of the depth by that of the camera's turn, as a share."""
+    each = [pushed_along(dataclasses.replace(seen, turn_sd=one)) for one in (seen.turn_sd, 0.0)]
+    sds = [one[2] / one[1] for one in each if one is not None]
+    return float(np.sqrt(max(sds[0] ** 2 - sds[1] ** 2, 0.0))) if len(sds) == 2 else 0.0
+
+
+def _depths(seen: Observation, history: Sequence[Tracked], turns: FloatArray) -> FloatArray:
+    """(T,) depth of the contact at each frame, along the push [px]. turns: (T,) of the camera [rad]"""
     push = pushed_along(seen)
     if push is None:
         raise InputError("a contact that moves, for its force", "none", "the frames in order, the one at rest first")
     found = []
-    for moment in history:
-        now = dataclasses.replace(seen, deformed=np.asarray(moment.position_px, dtype=np.float64), observed=moment.seen)
+    for moment, turn in zip(history, turns, strict=True):
+        there = np.asarray(moment.position_px, dtype=np.float64)
+        now = dataclasses.replace(seen, deformed=there, observed=moment.seen, turn=float(turn))
         found.append(depth_along(now, push[0]))
     return np.array(found)
 

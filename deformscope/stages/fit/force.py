@@ -49,8 +49,8 @@ def pushed_along(seen: Observation) -> tuple[FloatArray, float, float] | None:
     contact that moved.
 
     In images, whose particles lie in the middle of their cells, it is the motion of the contact's outer face relative
-    to that of the still held parts' outer faces: a camera that moves moves both. Motions are continued by half a
-    spacing along the motion's slope at the face."""
+    to that of the still held parts' outer faces: a camera that moves moves both, and one that turns carries them apart.
+    Motions are continued by half a spacing along the motion's slope at the face."""
     part = seen.touched
     if not len(part):
         return None
@@ -84,14 +84,22 @@ def _faces(seen: Observation, toward: FloatArray) -> tuple[tuple[float, float], 
     if not len(still):
         return contact, (0.0, 0.0)
     if np.ptp(seen.rest[still, axis]) < 0.5 * step[axis]:
-        return contact, _face(seen, still, toward, axis, sign)
+        return contact, _turned(seen, still, toward, _face(seen, still, toward, axis, sign))
     sides = [(one, side) for side in (-1.0, 1.0) if len(one := _outermost(seen, still, 1 - axis, side)) > 1]
     middle = float(np.median(seen.rest[:, 1 - axis]))
     sides = [(one, side) for one, side in sides if side * (seen.rest[one[0], 1 - axis] - middle) > 0.0]
     if not sides:
-        return contact, (float(((seen.deformed - seen.rest) @ toward)[still].mean()), 0.0)
-    found = np.array([_face(seen, one, toward, 1 - axis, side) for one, side in sides])
+        ground = float(((seen.deformed - seen.rest) @ toward)[still].mean()), 0.0
+        return contact, _turned(seen, still, toward, ground)
+    found = np.array([_turned(seen, one, toward, _face(seen, one, toward, 1 - axis, side)) for one, side in sides])
     return contact, (float(found[:, 0].mean()), float(found[:, 1].max()))
+
+
+def _turned(seen: Observation, ground: IntArray, toward: FloatArray, moved: tuple[float, float]) -> tuple[float, float]:
+    """The motion of a still line of particles (n,), carried to the contact by a camera that turns."""
+    x, y = seen.rest[seen.touched].mean(axis=0) - seen.rest[ground].mean(axis=0)
+    lever = float(toward @ (-y, x))
+    return moved[0] + seen.turn * lever, float(np.hypot(moved[1], seen.turn_sd * lever))
 
 
 def _outermost(seen: Observation, part: IntArray, axis: int, side: float) -> IntArray:

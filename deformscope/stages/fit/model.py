@@ -44,7 +44,8 @@ class Observation:
     [unit], if known; particles show it only to within their spacing
     held_shift: standard deviation of the common error of all held positions [unit]: of a robot's or a fixture's
     registration; None = some hundredths of a spacing (`systematic.TOOL_SHIFT`)
-    loose: held particles whose position was estimated, not measured, None = none"""
+    loose: held particles whose position was estimated, not measured, None = none
+    turn, turn_sd: the camera's turn between both, from x to y, and its standard deviation [rad]"""
 
     rest: FloatArray
     deformed: FloatArray
@@ -65,6 +66,8 @@ class Observation:
     noise_source: NoiseSource = "given"
     held_shift: float | None = None
     scale_sd: float = 0.0
+    turn: float = 0.0
+    turn_sd: float = 0.0
 
     def __post_init__(self) -> None:
         count, d = self.rest.shape

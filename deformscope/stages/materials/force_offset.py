@@ -2,7 +2,7 @@
 
 At the right time the log is a smooth function of the depth that starts at zero: a cubic polynomial, as a display with a
 time constant shows it. The likeliest offset and time constant are the estimate; their probability has the errors' own
-correlation in time, the scatter and step of the readings, and `LIKELY`: a lag and a later offset explain a rise alike."""
+correlation in time, the readings' scatter and step, and `LIKELY`: a lag and a later offset explain a rise alike."""
 
 from dataclasses import dataclass
 from functools import cached_property
