@@ -82,7 +82,7 @@ def fit_pose(
     push: PushOptions | None = None,
     log: PressForce | None = None,
 ) -> Calibration:
-    """Fit the last pose of tracked particles. times: seconds of each frame since the first; turns: of `CameraTurn`,
+    """Fit the last pose of tracked particles. times: seconds of each frame since the first; turns: see `CameraTurn`,
     where there is a force; push, log: `foam_video`"""
     seen, used = last_pose(grid, history, particles)
     if push is None or turns is None:
