@@ -1,4 +1,4 @@
-"""The parts of `deformscope bench`: its flags read them without numpy, it runs them without tyro."""
+"""The parts of `deformscope bench`: its flags read them without numpy."""
 
 from typing import Literal, get_args
 

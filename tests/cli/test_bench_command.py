@@ -2,9 +2,6 @@
 
 import contextlib
 import json
-import os
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,7 +12,6 @@ from deformscope.bench.plan import BenchPlan, Note
 from deformscope.bench.timing import Contestant, Timing, TimingRow, compare
 from deformscope.cli import EXIT_INPUT, EXIT_INTERRUPTED, main
 from tests.cases import Capture, Patch
-from tests.patience import PATIENCE_S
 
 SHORT = ["bench", "--quick", "--device", "cpu", "--sizes", "64", "--repeats", "3"]
 TOP = {"format", "complete", "machine", "settings", "rows"}
@@ -28,19 +24,6 @@ OF_ROWS = {
 @pytest.fixture(autouse=True)
 def _in_a_folder_of_its_own(tmp_path: Path, monkeypatch: Patch) -> None:
     monkeypatch.chdir(tmp_path)
-
-
-def run_module(*args: str, without: tuple[str, ...] = ()) -> subprocess.CompletedProcess[str]:
-    """`python -m deformscope.bench` in a process that lacks some packages."""
-    script = f"import runpy, sys; sys.modules.update(dict.fromkeys({without!r})); sys.argv[1:] = {list(args)!r}; "
-    return subprocess.run(
-        [sys.executable, "-c", script + "runpy.run_module('deformscope.bench', run_name='__main__', alter_sys=True)"],
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-    )
 
 
 @pytest.mark.slow  # three rounds
@@ -202,20 +185,3 @@ def test_a_gpu_that_is_not_there_is_said() -> None:
     if wp.is_cuda_available():
         pytest.skip("warp finds a CUDA device")
     assert main(["bench", "--device", "cuda"]) == EXIT_INPUT
-
-
-LACKING = ("rich", "tyro", "rerun", "open3d", "cv2", "sklearn", "threadpoolctl", "msgspec", "matplotlib")
-
-
-def test_it_is_imported_where_numpy_scipy_and_warp_are_all_there_is() -> None:
-    assert run_module("--help", without=LACKING).returncode == 0
-
-
-@pytest.mark.slow
-def test_it_runs_where_numpy_scipy_and_warp_are_all_there_is() -> None:
-    ran = run_module(
-        *("--quick", "--device", "cpu", "--sizes", "64", "--only", "step,memory,relax", "--repeats", "1"),
-        without=LACKING,
-    )
-    assert (ran.returncode, "Traceback" in ran.stderr) == (0, False), ran.stderr
-    assert json.loads(ran.stdout)["complete"] is True
