@@ -77,8 +77,10 @@ class DepthView(RayCamera):
             self.cover(capsule, depth, seen, facing)
         if solids:
             self.cover_solids(solids, depth, seen, facing)
-        color = COLOR[seen] * (0.35 + 0.65 * np.abs(facing))[..., None]
-        return Rendered(depth, np.rint(color).astype(np.uint8), seen, facing)
+        color = self._still.color.copy()
+        changed = (seen != self._still.seen) | (facing != self._still.facing)
+        color[changed] = _shaded(seen[changed], facing[changed])
+        return Rendered(depth, color, seen, facing)
 
     def _all(self, vertex: FloatArray) -> Rendered:
         """The picture of foam and table without the robot. vertex: (n, 3) vertex of the foam's surface in the world
@@ -89,7 +91,7 @@ class DepthView(RayCamera):
         meshes = [(np.concatenate([vertex, vertex[edge] * (1.0, 1.0, 0.0)]), foam), (corners, CORNERS)]
         depth, facing, mesh = self.hits(meshes, (slice(None), slice(None)))
         seen = np.where(np.isnan(depth), NOTHING, np.where(mesh == 0, FOAM, TABLE)).astype(np.uint8)
-        return Rendered(depth, np.zeros((*depth.shape, 3), np.uint8), seen, facing)
+        return Rendered(depth, _shaded(seen, facing), seen, facing)
 
     def _dented(self, displaced: FloatArray) -> Rendered:
         """Like `_all` with the surface moved by displacements (n, 3) [m], but rays are cast again only where it moved,
@@ -113,6 +115,11 @@ class DepthView(RayCamera):
         for whole, value in zip(found, (depth, np.full(depth.shape, FOAM), facing), strict=True):
             whole[part] = np.where(new, value, whole[part])
         return Rendered(found[0], self._still.color, found[1], found[2])
+
+
+def _shaded(seen: npt.NDArray[np.uint8], facing: FloatArray) -> npt.NDArray[np.uint8]:
+    """(..., 3) RGB of pixels (...,) by what they show and the cosine between ray and surface normal."""
+    return np.rint(COLOR[seen] * (0.35 + 0.65 * np.abs(facing))[..., None]).astype(np.uint8)
 
 
 def _triangles(columns: int, rows: int) -> tuple[npt.NDArray[np.uint32], IntArray]:

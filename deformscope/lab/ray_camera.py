@@ -125,12 +125,13 @@ class RayCamera:
         """Draw a capsule of the robot into a picture (h, w), changed in place, where it is nearer. depth: depth along
         the view [m]; seen: index of each pixel's surface; facing: cosine between ray and surface normal"""
         part = self.window(capsule)
-        ray, length = self.ray[part], self._length[part]
-        entered, normal = _enter(capsule, self.T_world_camera[:3, 3], ray, length)
-        nearer = entered < np.where(np.isnan(depth[part]), np.inf, depth[part])
-        depth[part][nearer] = entered[nearer]
+        entered = _enter(capsule, self.T_world_camera[:3, 3], self.ray[part], self._length[part])
+        nearer = np.isfinite(entered) & ~(entered >= depth[part])  # also where there is nothing: nan
+        at, ray = entered[nearer], self.ray[part][nearer]
+        normal = _outward(capsule, self.T_world_camera[:3, 3] + at[:, None] * ray)
+        depth[part][nearer] = at
         seen[part][nearer] = ROBOT
-        facing[part][nearer] = ((normal * ray).sum(axis=-1) / length)[nearer]
+        facing[part][nearer] = (normal * ray).sum(axis=-1) / self._length[part][nearer]
 
     def cover_solids(
         self, solids: Sequence[PosedSolid], depth: FloatArray, seen: npt.NDArray[np.uint8], facing: FloatArray
@@ -165,27 +166,37 @@ class RayCamera:
         return slice(low[1], high[1]), slice(low[0], high[0])
 
 
-def _enter(capsule: Capsule, eye: FloatArray, ray: FloatArray, length: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """First hits of rays (..., 3) from `eye` on a capsule: (...,) multiples of the ray, inf without one, and (..., 3)
-    its outward normal there."""
-    axis = capsule.end_m - capsule.start_m
-    along = float(np.linalg.norm(axis))
-    direction = axis / along if along > 1e-9 else np.zeros(3)
+def _enter(capsule: Capsule, eye: FloatArray, ray: FloatArray, length: FloatArray) -> FloatArray:
+    """First hits of rays (..., 3) from `eye` on a capsule: (...,) multiples of the ray, inf without one. length: (...,)
+    of the rays"""
+    square = length**2
     best = np.full(length.shape, np.inf)
-    if along > 1e-9:
-        slope, start = ray @ direction, (eye - capsule.start_m) @ direction
-        aside = ray - slope[..., None] * direction
-        apart = (eye - capsule.start_m) - start * direction
-        reach = _nearest_root((aside**2).sum(axis=-1), aside @ apart, float(apart @ apart) - capsule.radius_m**2)
+    direction, along = _axis(capsule)
+    if along > 0.0:
+        slope, start = ray @ direction, float((eye - capsule.start_m) @ direction)
+        apart = (eye - capsule.start_m) - start * direction  # across the axis: no part of a ray along it counts
+        reach = _nearest_root(square - slope**2, ray @ apart, float(apart @ apart) - capsule.radius_m**2)
         meets = np.isfinite(reach)
         place = start + np.where(meets, reach, 0.0) * slope
         best = np.where(meets & (place >= 0.0) & (place <= along), reach, np.inf)
     for end in (capsule.start_m, capsule.end_m):
         apart = eye - end
-        best = np.minimum(best, _nearest_root(length**2, ray @ apart, float(apart @ apart) - capsule.radius_m**2))
-    point = eye + np.where(np.isfinite(best), best, 0.0)[..., None] * ray
-    middle = capsule.start_m + np.clip((point - capsule.start_m) @ direction, 0.0, along)[..., None] * direction
-    return best, (point - middle) / capsule.radius_m
+        best = np.minimum(best, _nearest_root(square, ray @ apart, float(apart @ apart) - capsule.radius_m**2))
+    return best
+
+
+def _outward(capsule: Capsule, point_m: FloatArray) -> FloatArray:
+    """(n, 3) outward normals at places (n, 3) of a capsule's surface [m]."""
+    direction, along = _axis(capsule)
+    middle = np.clip((point_m - capsule.start_m) @ direction, 0.0, along)[:, None] * direction
+    return np.asarray((point_m - capsule.start_m - middle) / capsule.radius_m)
+
+
+def _axis(capsule: Capsule) -> tuple[FloatArray, float]:
+    """(3,) direction from end to end, and their distance [m]; both 0 for a ball."""
+    axis = capsule.end_m - capsule.start_m
+    along = float(np.linalg.norm(axis))
+    return (axis / along, along) if along > 1e-9 else (np.zeros(3), 0.0)
 
 
 def _nearest_root(a: FloatArray, half_b: FloatArray, c: float) -> FloatArray:

@@ -291,9 +291,11 @@ def _mean_modulus_pa(scene: Scene, corner_m: FloatArray) -> FloatArray:
     """(E,) the mean over each element, (2, 8, E) its corners [m]: for a border between two foams from top to bottom,
     both of which are pressed alike."""
     low, side = corner_m.min(axis=1), np.ptp(corner_m, axis=1)
+    column, layer = np.unique(np.concatenate([low, side]), axis=1, return_inverse=True)  # the same from top to bottom
+    low, side = column[:2], column[2:]
     share = (np.arange(SAMPLES) + 0.5) / SAMPLES
     spots = np.stack(np.meshgrid(share, share), axis=-1).reshape(-1, 1, 2)
-    return np.asarray(scene.modulus_pa(low.T + spots * side.T).mean(axis=0))
+    return np.asarray(scene.modulus_pa(low.T + spots * side.T).mean(axis=0))[layer]
 
 
 def _frame(normal: FloatArray) -> FloatArray:
