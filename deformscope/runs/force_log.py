@@ -65,7 +65,7 @@ def read_force(push: PushFlags) -> PressForce:
 
 def _of_table(reader: Reader, topic: str, push: PushFlags, path: Path) -> PressForce:
     """The force in a column of a table, with the times in another."""
-    named = {name: _unit_of(name, unit) for name, unit in reader.topics[topic].units.items()}
+    named = {name: unit_of(name, unit) for name, unit in reader.topics[topic].units.items()}
     bare = {name: re.split(r"[\s\[(<#]|_(?:n|u|m)?s$", name)[0].lower() for name in named}
     time = next((name for known in TIMES for name, base in bare.items() if known in (base, name)), "")
     columns = [name for name, unit in named.items() if unit in UNITS and name != time]
@@ -94,10 +94,10 @@ def _of_table(reader: Reader, topic: str, push: PushFlags, path: Path) -> PressF
     return _zeroed(table[:, 0] * (TIME_NS[named[time]] / 1e9), UNITS[unit] * table[:, 1, None, None], path)
 
 
-def _unit_of(name: str, said: str) -> str:
-    """The unit of a column: what the table says, else the end of its name (`time_s`, `weight_g`, `force_N`)."""
-    end = name.rpartition("_")[2] if "_" in name else ""
-    return said or next((one for one in (*UNITS, *TIME_NS) if end in (one, one.lower())), "")
+def unit_of(name: str, said: str) -> str:
+    """The unit of a column: what the table says, else the end of its name (`time_s`, `depth_mm`, `weight_g`)."""
+    end = name.partition("#")[0].rpartition("_")[2] if "_" in name else ""
+    return said or next((one for one in (*UNITS, *SI, *TIME_NS) if end in (one, one.lower())), "")
 
 
 def recorded_force(path: Path, sensor: str | None, began_ns: int, flag: str = "--force-sensor") -> PressForce | None:

@@ -27,6 +27,7 @@ from deformscope.recording.items import read_items, read_results
 from deformscope.results.declared import quantities
 from deformscope.results.render import Rows, to_rows
 from deformscope.runs.calibration_report import provenance_sections, settings_section
+from deformscope.runs.force_log import UNITS, unit_of
 from deformscope.runs.result import SourceResult, open_recorder
 from deformscope.session import Step
 from deformscope.stages.map.exploration import TouchEstimate
@@ -49,7 +50,11 @@ ROLES = {
     "time": ("s", re.compile(r"time|zeit|时间|\bt\b", re.IGNORECASE)),
 }
 """Quantity of each column, and names that it has."""
-FACTORS = SI | {unit: ("s", ns / 1e9) for unit, ns in TIME_NS.items()}
+FACTORS = (
+    SI
+    | {unit: ("N", factor) for unit, factor in UNITS.items()}
+    | {unit: ("s", ns / 1e9) for unit, ns in TIME_NS.items()}
+)
 TOUCHED = 0.1
 """Share of the largest force below which the tip of a recording is between two touches."""
 UNSHOWN = {"name", "verdict", "reasons"}
@@ -176,7 +181,7 @@ def curves_of(path: Path, config: IndentConfig) -> list[IndentCurve]:
 
 def _of_table(reader: Reader, name: str, config: IndentConfig, path: Path) -> IndentCurve:
     topic = reader.topics[name]
-    units = topic.units
+    units = {column: unit_of(column, unit) for column, unit in topic.units.items()}
     asked = {"force": config.force_column, "depth": config.depth_column, "time": config.time_column}
     found = {role: _column(role, said, units, path) for role, said in asked.items()}
     way = found["depth"][0] if found["depth"] else ""

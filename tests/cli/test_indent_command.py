@@ -61,6 +61,8 @@ def test_a_test_machines_text_is_read_as_it_is(tmp_path: Path, capsys: Capture) 
     [
         ("Time (s),Extension (mm),Load (N)", (1.0, 1e3, 1.0), []),
         ("t [ms],piezo height [nm],force [nN]", (1e3, 1e9, 1e9), []),
+        ("time_s,depth_m,force_n", (1.0, 1.0, 1.0), []),
+        ("time_ms,depth_mm,load_g", (1e3, 1e3, 1 / 9.80665e-3), []),
         ("t,depth,force", (1.0, 1e3, 1.0), ["--force-column", "force=N", "--depth-column", "depth=mm"]),
         ("z [mm],Fz [N],Fx [N]", (1.0, 1e3, -1.0), ["--force-column=-Fz [N]"]),
     ],
