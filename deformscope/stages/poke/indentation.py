@@ -48,11 +48,15 @@ BENDS = 0.25
 stay below."""
 TRIMS = 6
 """How often, at most, what is deeper is cut off and contact found again."""
+PLATEAU = 1.15
+"""Depth over that at which the law has the largest force, from which a curve has a plateau."""
 POISSONS, DRAWS = 5, 4000
 """Values of Poisson's ratio, where it is a range; draws of an interval."""
-HELD, LONG, BEGUN = 0.01, 0.1, 0.02
+HELD, LONG, BEGUN, CREEPS = 0.01, 0.1, 0.02, 0.3
 """Share of depth or force within which a tip holds; least duration of a hold over that of the loading; share of the
-peak below which the tip is taken to be free."""
+peak below which the tip is taken to be free; largest speed of a tip that holds over that of the loading."""
+RISES = 0.2
+"""Rate of the first samples over the loading's mean rate, from which they are in contact."""
 NAMED, DRIFT_SD = 0.02, 0.01
 """Share of the peak from which adhesion and drift are named; five times as much leaves `weak`. Deviation of a drift
 that no free air shows [assumed]."""
@@ -212,19 +216,24 @@ class _Poke:
         self.drift_n, self.drift_sd_n = self._drift()
         self.depth_m = self.given_m - self.softness * self.force_n
         self.travel_m = float(np.ptp(self.depth_m[self.began : self.held]))
-        pull = -float(min(smooth[: self.loaded].min(), smooth[self.held - 1 :].min()))
+        # a curve that begins in contact is low there without a pull
+        pull = -float(min(smooth[min(AIR, self.began) : self.loaded].min(), smooth[self.held - 1 :].min()))
         self.pull_n = pull if pull > max(4.0 * self.noise_n, NAMED * self.peak_n) else 0.0
         scatter = max(_scatter(self.given_m[self.began : self.loaded]), 2e-4 * self.travel_m)
         self.machine = ArmCompliance(0.0, sample.machine_sd * self.softness, scatter)
 
     def _split(self, smooth: FloatArray) -> None:
         top_m = float(self.given_m.max())
-        near = smooth >= (1.0 - HELD) * self.peak_n
-        near |= self.given_m >= top_m - HELD * (top_m - self.given_m[self.began])
-        at = np.flatnonzero(near & (smooth > 0.2 * self.peak_n))
-        self.loaded, self.held = int(at[0]) + 1, int(at[-1]) + 1
-        if self.held - self.loaded < max(LONG * (self.loaded - self.began), 2 * AIR):
-            self.loaded = self.held = int(np.argmax(smooth)) + 1
+        deep = self.given_m >= top_m - HELD * (top_m - self.given_m[self.began])
+        for near in (deep | (smooth >= (1.0 - HELD) * self.peak_n), deep):
+            at = np.flatnonzero(near & (smooth > 0.2 * self.peak_n))
+            self.loaded, self.held = int(at[0]) + 1, int(at[-1]) + 1
+            way, took = float(np.ptp(self.given_m[self.loaded - 1 : self.held])), self.held - self.loaded
+            # on a plateau the force stays while the tip goes on as fast as before
+            if way * (self.loaded - self.began) <= CREEPS * (top_m - self.given_m[self.began]) * took:
+                break
+        if took < max(LONG * (self.loaded - self.began), 2 * AIR):
+            self.loaded = self.held = int(np.argmax(smooth if near is not deep else self.given_m)) + 1
         free = smooth[self.held :] < max(BEGUN * self.peak_n, 3.0 * self.noise_n)
         free |= self.given_m[self.held :] < self.given_m[self.began]
         self.released = self.held + int(np.argmax(free)) if free.any() else len(smooth)
@@ -322,8 +331,15 @@ class _Poke:
             follows = abs(found.exponent - law.exponent) < LAW_OFF * law.exponent + 2.0 * found.exponent_sd
             if follows:
                 break
+        dent_m = self.dent_m(found)
+        if (
+            upto == whole == self.loaded
+            and self.depth_m[:whole].max() > found.contact_m * self.scale[0] + PLATEAU * dent_m
+        ):
+            text = f"a plateau: the force hardly rises beyond a depth of {1e3 * dent_m:.3g} mm, where it leaves the law"
+            reasons.append(Doubt("large-strain", text))
         if upto != whole or not follows:
-            text = f"the curve leaves the law of a {self.sample.tip} at a depth of {1e3 * self.dent_m(found):.3g} mm"
+            text = f"the curve leaves the law of a {self.sample.tip} at a depth of {1e3 * dent_m:.3g} mm"
             reasons.append(Doubt("large-strain", text, None if follows else "weak"))
         return upto, OWN_EXPONENT_SD if follows else EXPONENT_SD, reasons
 
@@ -346,9 +362,12 @@ class _Poke:
         if drift > NAMED:
             text = f"the force drifted by {drift:.0%} of its peak during the loading, which is taken off"
             found.append(Doubt("force-drift", text, "weak" if drift > 5.0 * NAMED else None))
-        if self.began < AIR:
-            text = f"the curve has {self.began} samples before contact: the force's zero is not known"
-            found.append(Doubt("short-record", text, "weak"))
+        rise = float(np.median(self.force_n[AIR : 2 * AIR]) - np.median(self.force_n[:AIR]))
+        touched = rise > max(4.0 * self.noise_n, RISES * AIR * self.peak_n / self.loaded)
+        if self.began < AIR or touched:
+            few = "begins in contact" if touched or not self.began else f"has {self.began} samples before contact"
+            text = f"the curve {few}: neither where that is nor the force's zero is seen"
+            found.append(Doubt("short-record", text, "unidentified" if "begins" in few else "weak"))
         return found
 
     def shares(self, fit: ContactFit, law: TipLaw, bend: float) -> tuple[ModulusShare, ...]:
@@ -519,7 +538,13 @@ def _checked(curve: IndentCurve) -> tuple[FloatArray, FloatArray, FloatArray | N
         good[good] = np.diff(np.maximum.accumulate(time_s[good]), prepend=-np.inf) > 0.0
     if good.sum() < FEWEST:
         raise InputError(f"{FEWEST} samples or more", f"{good.sum()}", where=curve.name)
-    depth_m, force_n = depth_m[good], force_n[good] - np.median(force_n[good][: max(AIR, good.sum() // 20)])
+    depth_m, force_n = depth_m[good], force_n[good]
+    few = max(AIR, len(force_n) // 20)
+    first, last = np.array_split(force_n[:few], 3), float(np.median(force_n[-few:]))
+    zero, began, ended = (float(np.median(part)) for part in (force_n[:few], first[0], first[-1]))
+    if ended - began > 4.0 * _scatter(force_n) and last < began:  # begun in contact, and let go
+        zero = last
+    force_n = force_n - zero
     smooth = smoothed(force_n)
     if -smooth.min() > 2.0 * smooth.max():
         came, hint = f"{smooth.min():.3g} N", "a minus before the column (--force-column=-NAME)"

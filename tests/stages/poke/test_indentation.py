@@ -216,6 +216,27 @@ def test_a_plateau_is_left_out_and_named_with_its_depth() -> None:
     assert found.modulus_pa == pytest.approx(YOUNG, rel=0.12)
 
 
+def test_a_force_that_stays_while_the_tip_goes_on_is_a_plateau_and_no_hold() -> None:
+    depth, force, time = poke(noise=0.0)
+    flat = np.minimum(force - 0.07, 0.55 * (force - 0.07).max()) + np.random.default_rng(7).normal(
+        0.0, 0.001, len(depth)
+    )
+    found = fitted((depth, flat, time))
+    assert (found.force_kept, found.creep) == (None, None)
+    assert any(one.code == "large-strain" and "plateau" in one.text for one in found.reasons)
+    assert found.modulus_interval_pa[0] < YOUNG < found.modulus_interval_pa[1]
+
+
+@pytest.mark.parametrize("lets_go", [True, False])
+def test_a_curve_that_begins_in_contact_is_unidentified_and_not_adhesive(lets_go: bool) -> None:
+    depth, force, time = poke(noise=0.001)
+    part = slice(170, None if lets_go else 420)
+    found = fitted((depth[part], force[part], time[part]))
+    assert found.verdict == "unidentified"
+    assert "short-record" in codes(found)
+    assert "adhesion" not in codes(found)
+
+
 @pytest.mark.parametrize("bend", [-0.6, 0.3])
 def test_a_material_without_a_linear_part_is_weak_with_its_law_in_the_interval(bend: float) -> None:
     z, force, time = poke(noise=0.002)
