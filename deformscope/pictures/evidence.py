@@ -98,20 +98,11 @@ def where_wrong(comparison: Comparison) -> str:
 
 
 def evidence_png(estimate: Estimate) -> bytes:
-    """The error over the parameter, and below it, on the same axis, the posterior."""
-    figure = canvas(8.0, 5.6, layout="constrained")
-    _draw_evidence(figure, figure.add_gridspec(5, 1), estimate, size=13)
-    return png_of(figure, 130)
-
-
-def force_png(curve: PushCurve) -> bytes:
-    """Force over depth."""
-    figure = canvas(8.0, 4.0, layout="constrained")
-    axes = figure.add_subplot()
-    axes.plot(1e3 * curve.depth_m, curve.force_n, "o-", color=WORDS, markersize=4)
-    axes.set_xlabel("depth of the contact [mm]")
-    axes.set_ylabel("force [N]")
-    axes.grid(alpha=0.3)
+    """The error over the parameter, below it, on the same axis, the posterior, and below these, of images with a force,
+    the force over the depth."""
+    pushed = _is_pushed(estimate)
+    figure = canvas(8.0, 8.4 if pushed else 5.6, layout="constrained")
+    _draw_evidence(figure, figure.add_gridspec(8 if pushed else 5, 1), estimate, size=13)
     return png_of(figure, 130)
 
 
@@ -129,7 +120,8 @@ def results_png(results: Sequence[Result]) -> bytes:
     """Everything in one picture: a row for each comparison, the evidence next to it, the verdict as text above."""
     rows = _rows(results)
     height = sum(_height(results[place].comparisons[index]) for place, index in rows)
-    figure = canvas(17.0, max(height, 4.4) + 1.0, layout="constrained")
+    pushed = len(rows) == 1 and _is_pushed(results[0].estimate)
+    figure = canvas(17.0, max(height, 7.2 if pushed else 4.4) + 1.0, layout="constrained")
     grid = figure.add_gridspec(len(rows), 3, width_ratios=[1.0, 1.1, 1.15])
     done: list[int] = []
     for row, (place, index) in enumerate(rows):
@@ -139,7 +131,7 @@ def results_png(results: Sequence[Result]) -> bytes:
         if place not in done:
             done.append(place)
             taken = sum(1 for other, _ in rows if other == place)
-            inner = grid[row : row + min(taken, 2), 2].subgridspec(5, 1)
+            inner = grid[row : row + min(taken, 2), 2].subgridspec(8 if pushed else 5, 1)
             _draw_evidence(figure, inner, result.estimate, titled=len(results) > 1, size=10, width=44)
     first = results[0].estimate
     if len(results) == 1:
@@ -183,13 +175,16 @@ def _one(result: Result, index: int, draw: "Callable[[Figure, SubplotSpec, Resul
 def _draw_evidence(
     figure: "Figure", grid: "GridSpecBase", estimate: Estimate, *, titled: bool = True, size: int = 11, width: int = 62
 ) -> None:
-    """The curve in the upper three of five rows, the posterior below it; all for the curve where there is none."""
+    """The curve in the upper three of five rows, the posterior below it; all for the curve where there is none. The
+    force over the depth is in three more rows, if there are eight."""
+    if grid.nrows > 5:
+        _draw_force(figure.add_subplot(grid[5:, 0]), estimate, size)
     if estimate.posterior is None:
-        above = figure.add_subplot(grid[:, 0])
+        above = figure.add_subplot(grid[:5, 0])
         above.set_xlabel(f"{estimate.parameter} [-]", fontsize=size)
     else:
         above = figure.add_subplot(grid[:3, 0])
-        below = figure.add_subplot(grid[3:, 0], sharex=above)
+        below = figure.add_subplot(grid[3:5, 0], sharex=above)
         above.tick_params(labelbottom=False)
         _draw_posterior(below, estimate, size)
     _draw_curve(above, estimate, size)
@@ -253,6 +248,31 @@ def _draw_posterior(axes: "Axes", estimate: Estimate, size: int) -> None:
     inset.set_yticks([])
     inset.set_xticks([low, high], [f"{low:.4g}", f"{high:.4g}"], fontsize=size - 3)
     inset.set_title("enlarged", fontsize=size - 3, pad=2)
+
+
+def _is_pushed(estimate: Estimate) -> bool:
+    """Whether there is a force over a depth."""
+    return estimate.force is not None and estimate.contact_stiffness is not None
+
+
+def _draw_force(axes: "Axes", estimate: Estimate, size: int) -> None:
+    """The measured force over the depth, and the line of the stiffness at the contact, with its interval."""
+    assert estimate.force is not None
+    assert estimate.contact_stiffness is not None
+    (force, ends), (stiffness, (low, high)) = estimate.force, estimate.contact_stiffness
+    depth = force / stiffness
+    curve = estimate.force_curve or PushCurve(np.array([1e-3 * depth]), np.array([force]))
+    line = np.array([0.0, max(depth, 1e3 * float(curve.depth_m.max()))])
+    label = f"{stiffness:.3g} N/mm, {estimate.level:.0%} interval"
+    axes.fill_between(line, low * line, high * line, color=INTERVAL, alpha=0.4, lw=0, label=label)
+    axes.plot(line, stiffness * line, "--", color=MINIMUM, lw=1.2)
+    axes.plot([depth, depth], ends, color=WORDS, lw=2)
+    axes.plot(1e3 * curve.depth_m, curve.force_n, "o", color=WORDS, ms=4, label="measured")
+    axes.set_xlabel("depth of the contact [mm]", fontsize=size)
+    axes.set_ylabel("force [N]", fontsize=size)
+    axes.tick_params(labelsize=size - 1)
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=size - 2)
 
 
 def _draw_density(axes: "Axes", estimate: Estimate) -> None:

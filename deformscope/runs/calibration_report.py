@@ -9,7 +9,6 @@ from deformscope.pictures.evidence import (
     Result,
     errors_png,
     evidence_png,
-    force_png,
     headline,
     particles_png,
     verdict_color,
@@ -125,9 +124,11 @@ def _evidence(result: Result) -> list[Part]:
         f"Above: mean distance between observed and simulated particles over {found.parameter}, with the estimate. "
         f"Below: the posterior on the same axis; shaded the {found.level:.0%} interval."
     )
-    curve = found.force_curve
-    force = [] if curve is None else [Figure(force_png(curve), "Force over the depth of the contact, while it rose.")]
-    return [Table(rows), Figure(evidence_png(found), caption), *force]
+    if found.force is not None:
+        caption += (
+            " Below these: the force over the depth of the contact, while it rose, and the line of its stiffness."
+        )
+    return [Table(rows), Figure(evidence_png(found), caption)]
 
 
 def _pictures(result: Result, count: int) -> list[Part]:

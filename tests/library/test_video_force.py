@@ -188,7 +188,7 @@ def test_a_log_finds_its_offset_by_the_motion(tmp_path: Path, offset_s: float, r
     assert len(curve["depth_m"]) == len(curve["force_n"]) > 10
     assert curve["force_n"][-1] == pytest.approx(force_n(0.12), rel=0.05)
     page = calibration_page([one.shown], seed=0, settings=one.settings)
-    assert "Force over the depth of the contact" in page
+    assert "the force over the depth of the contact" in page
 
 
 @pytest.mark.parametrize(
@@ -205,10 +205,13 @@ def test_a_log_that_does_not_fit_is_refused(tmp_path: Path, more: dict[str, Any]
         fit(ramp()[:8], **scaled(force=str(tmp_path / "scale.csv"), fps=FPS, **more))
 
 
-def test_a_log_without_the_push_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("log", ["later", "constant"])
+def test_a_log_without_the_push_is_refused(tmp_path: Path, log: str) -> None:
     write_log(tmp_path / "later.csv", 20.0, 50.0)
+    rows = [f"{0.1 * index:.1f},5.0" for index in range(30)]
+    (tmp_path / "constant.csv").write_text("\n".join(["time [s],weight [g]", *rows]) + "\n")
     with pytest.raises(ds.InputError, match="force log"):
-        fit(ramp(), **scaled(force=str(tmp_path / "later.csv"), fps=FPS))
+        fit(ramp(), **scaled(force=str(tmp_path / f"{log}.csv"), fps=FPS))
 
 
 def test_the_replay_of_a_recording_has_the_same_numbers(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from deformscope.pictures import evidence
 from deformscope.pictures import evidence as pictures
-from deformscope.stages.fit.estimate import Comparison, Estimate, Posterior
+from deformscope.stages.fit.estimate import Comparison, Estimate, Posterior, PushCurve
 from tests.log import synthetic
 from tests.pictures.test_closeup import poked
 
@@ -99,6 +99,26 @@ def test_evidence_with_and_without_posterior_and_very_narrow() -> None:
     assert evidence.verdict_color(with_it) != evidence.verdict_color(unfinished)
     assert "NOT CONVERGED" in evidence.headline(unfinished)
     assert "0.56 to 0.69" in evidence.headline(with_it)
+
+
+def test_the_force_over_the_depth_is_drawn_with_the_line_of_its_stiffness() -> None:
+    curve = PushCurve(np.array([0.0, 0.004, 0.01]), np.array([0.0, 1.9, 5.1]))
+    pushed = dataclasses.replace(
+        estimate(), force=(5.1, (4.9, 5.3)), contact_stiffness=(0.5, (0.4, 0.6)), force_curve=curve
+    )
+    single = dataclasses.replace(pushed, force_curve=None)
+    for one, depth_mm in ((pushed, [0.0, 4.0, 10.0]), (single, [10.2])):
+        axes = Figure().subplots()
+        pictures._draw_force(axes, one, 10)
+        drawn = {line.get_label(): line for line in axes.get_lines()}
+        np.testing.assert_allclose(drawn["measured"].get_xdata(), depth_mm)
+        fitted = next(line for line in axes.get_lines() if line.get_linestyle() == "--")
+        np.testing.assert_allclose(fitted.get_ydata(), 0.5 * np.asarray(fitted.get_xdata()))
+        assert axes.get_legend().get_texts()[0].get_text() == "0.5 N/mm, 90% interval"
+    plain, tall = (decoded(evidence.evidence_png(one)) for one in (estimate(), pushed))
+    assert tall.shape[0] > plain.shape[0]
+    whole = [evidence.Result(one, (synthetic.pair_in_plane(),), ("",)) for one in (pushed, single)]
+    assert (decoded(evidence.results_png(whole[:1])) != decoded(evidence.results_png(whole[1:]))).any()
 
 
 @pytest.mark.slow  # many pictures

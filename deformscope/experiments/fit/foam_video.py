@@ -167,7 +167,7 @@ def hold_what_is_seen(
             raise InputError(
                 f"held particles of {part!r} that can be tracked",
                 "all of them lost",
-                "the images in order, the one at rest first; or a --roi with more texture",
+                "a smaller --stride; the images in order, the one at rest first; or a --roi with more texture",
             )
         rest = ParticleGrid(grid.rest_px[still], grid.shape, grid.cell[still], grid.spacing_px)
         chosen.append(still[select_held(rest, [part])])

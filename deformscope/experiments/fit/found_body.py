@@ -31,8 +31,10 @@ def found_in(
     seen = [frame.image for frame in source]
     kept = np.unique(np.linspace(0, len(seen) - 1, LOOKED_AT).round().astype(int))
     body = find_body([seen[index] for index in kept])
-    if other := next((one for one in body.unfit if one.code in ("scene-cut", "mirrored")), None):
-        raise InputError("images of one scene", other.text, "leave out what is before or after it", source.name)
+    if other := next((one for one in body.unfit if one.code in ("scene-cut", "mirrored", "dark")), None):
+        wanted = ("images of one scene", other.text, "leave out what is before or after it")
+        lit = ("images that can be followed", other.text, "film again with more light")
+        raise InputError(*(lit if other.code == "dark" else wanted), source.name)
     unfit = [one for one in body.unfit if one.code != "still"]  # which the fit says with its own numbers
     doubts = [Doubt("unfit-images", one.text, "weak" if one.lowers else None) for one in unfit]
     named = any(getattr(images, one) is not None for one in BODY)

@@ -58,7 +58,7 @@ def find_offset(
         begin, end = float(log.time_s[0]) - float(time_s[-1]), float(log.time_s[-1])
         offsets = np.linspace(begin, end, min(TRIED, int((end - begin) / step) + 2))
         errors, _ = _errors(offsets, time_s, _lagged(time_s, depth, 0.0), log)
-        if not np.isfinite(errors).any():
+        if not np.isfinite(errors).any() or not np.ptp(log.force_n):
             came = f"one of {np.ptp(log.force_n):.2g} N over {np.ptp(log.time_s):.3g} s that does not overlap with it"
             raise InputError("a force log that has the push of the video", came, HINT)
         offsets = offsets[int(np.nanargmin(errors))] + np.linspace(-NEAR_S, 0.2 * NEAR_S, FINE)

@@ -3,7 +3,7 @@
 What moves beyond the background, and deforms, is the body; parts of it that stay are those that look like it (GrabCut,
 Rother 2004). A second thing that moves as a rigid body is the tool. Image axes: x to the right, y down [px]."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Literal
@@ -78,6 +78,9 @@ share of the picture, from which they are named."""
 UNMOVED = 0.03
 """Share of the largest motion below which nothing moves at a place."""
 
+DARK = 48.0
+"""Brightness of all but 1 % of the pixels of 8 bits, below which noise may hide texture."""
+
 CONTACT_ROWS = 1.25
 """Depth of a footprint in particles, as they are spaced by default."""
 
@@ -90,7 +93,7 @@ HOLE = 0.01
 CORNERS = 24
 """Largest number of corners of an outline without holes."""
 
-ImageFaultCode = Literal["scene-cut", "mirrored", "zoom", "out-of-plane", "warped", "camera-moves", "still"]
+ImageFaultCode = Literal["scene-cut", "mirrored", "zoom", "out-of-plane", "warped", "camera-moves", "still", "dark"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,7 +188,11 @@ def find_body(images: Sequence[ImageArray]) -> FoundBody:
     flows: list[FloatArray] = []
     for shade in shades[1:]:
         flows.append(_dis(shades[0], shade, flows[-1] if flows else None))
+    bright = float(np.percentile(small[0], 99)) if small[0].dtype == np.uint8 else 255.0
     if (other := _other_scene(shades, flows)) is not None:
+        if bright < DARK:
+            text = f"dark ones: 99 % of the pixels are below {bright:.0f} of 255, and neighbouring images share little"
+            other = ImageFault("dark", text)
         return FoundBody(unfit=(other,))
     motion = _motion(shades, flows)
     if motion.rim < BACKGROUND:  # a camera that turns, or a stabilised picture
@@ -198,7 +205,7 @@ def find_body(images: Sequence[ImageArray]) -> FoundBody:
         return FoundBody(unfit=(ImageFault("still", text, lowers=False),), background=background)
     region, tool, agree = _region(small[0], shades[0], motion)
     still = motion.rim >= BACKGROUND
-    unfit = tuple(_unfit(motion, ~_grown(region | tool, 9), scale)) if still else ()
+    unfit = tuple(_unfit(motion, ~_grown(region | tool, 9), scale, bright) if still else _turned(motion, scale))
     if region.all():
         unsure = () if agree >= AGREES else ("region (--outline or --roi)",)
         return FoundBody(unfit=unfit, background=background, doubts=unsure)
@@ -367,8 +374,8 @@ def _spread(still: BoolArray, rim: BoolArray) -> float:
     return 0.0 if alone else float(np.mean(still[rim]))
 
 
-def _unfit(motion: _Motion, background: BoolArray, scale: float) -> list[ImageFault]:
-    """What the motion of the background (h, w) says of the camera."""
+def _unfit(motion: _Motion, background: BoolArray, scale: float, bright: float) -> list[ImageFault]:
+    """What the motion of the background (h, w) says of the camera. bright: as `DARK`"""
     found = []
     height, width = motion.known.shape[1:]
     at = _places((height, width))
@@ -385,19 +392,41 @@ def _unfit(motion: _Motion, background: BoolArray, scale: float) -> list[ImageFa
     if np.count_nonzero(chosen) < FEWEST:
         return found
     first, moved = at[chosen], at[chosen] + motion.flow[-1][chosen]
-    plane, _ = cv2.findHomography(first, moved, cv2.RANSAC, BACKGROUND_PX)
-    turned = np.asarray(cv2.perspectiveTransform(first[:, None], plane)[:, 0]) if plane is not None else first
-    alike, flat = (
-        float(np.median(np.linalg.norm(one - moved, axis=1)))
-        for one in (first + _carried(first, motion.fits[-1]), turned)
-    )
+    flat = float(np.median(_off_plane(first, moved)))
+    alike = float(np.median(np.linalg.norm(first + _carried(first, motion.fits[-1]) - moved, axis=1)))
     if alike > BENDS_PX and flat < 0.5 * alike:
         text = f"the camera turns out of the picture's plane: {alike / scale:.1f} px beyond shift, turn and zoom"
         found.append(ImageFault("out-of-plane", text))
     elif flat > BENDS_PX:
-        text = f"the background bends by {flat / scale:.1f} px: image stabilisation, or a rolling shutter"
-        found.append(ImageFault("warped", text))
+        why = "image stabilisation, or a rolling shutter" if bright >= DARK else "too little light"
+        found.append(ImageFault("warped", f"the background bends by {flat / scale:.1f} px: {why}"))
     return found
+
+
+def _off_plane(first: FloatArray, moved: FloatArray) -> FloatArray:
+    """(n,) distance of moved places (n, 2) from those of a plane in perspective that most of them follow [px]."""
+    plane, _ = cv2.findHomography(first, moved, cv2.RANSAC, BACKGROUND_PX)
+    turned = np.asarray(cv2.perspectiveTransform(first[:, None], plane)[:, 0]) if np.ndim(plane) else first
+    return np.asarray(np.linalg.norm(turned - moved, axis=1))
+
+
+def _turned(motion: _Motion, scale: float) -> Iterator[ImageFault]:
+    """A camera that turns so far out of the picture's plane that no shift, turn and zoom carries the background: the
+    rim moves as a plane in perspective, and not as an evenly stretched body."""
+    chosen = motion.known[-1] & _rim(motion.known[-1].shape, RIM)
+    if np.count_nonzero(chosen) < FEWEST:
+        return
+    at = _places(chosen.shape)
+    first, moved = at[chosen], (at + motion.flow[-1])[chosen]
+    stretch, _ = cv2.estimateAffine2D(first, moved, method=cv2.RANSAC, ransacReprojThreshold=BACKGROUND_PX)
+    if np.ndim(stretch) == 0:
+        return
+    off, near = _off_plane(first, moved), np.zeros(chosen.shape, dtype=bool)
+    near[chosen] = off < 2 * BACKGROUND_PX
+    alike = float(np.median(np.linalg.norm(first + _carried(first, np.asarray(stretch)) - moved, axis=1)))
+    if alike > BENDS_PX and np.median(off) < 0.5 * alike and _spread(near, chosen) >= BACKGROUND:
+        text = f"the camera turns out of the picture's plane: {alike / scale:.1f} px beyond an even stretch"
+        yield ImageFault("out-of-plane", text)
 
 
 # Region --------------------------------------------------------------------------------------------------------------

@@ -99,6 +99,24 @@ def test_what_a_camera_does_is_named_with_its_size() -> None:
     assert overlap(filled(found, (360, 480)), truth(Scene())) > 0.9
 
 
+@pytest.mark.parametrize("light", [0.07, 0.04])
+def test_a_video_without_light_is_no_cut(light: float) -> None:
+    rng = np.random.default_rng(4)
+    images = [light * one + rng.normal(0.0, 4.0, one.shape) for one in render(Scene())]
+    dark = find_body([np.clip(np.rint(one), 0, 255).astype(np.uint8) for one in images])
+    assert [one.code for one in dark.unfit] == ["dark"]
+    assert "dark ones: 99 % of the pixels are below" in dark.unfit[0].text
+
+
+def orbited(image: Image, share: float) -> Image:
+    """A phone that turns around what it films by 12 degrees."""
+    (height, width), angle, focal = image.shape[:2], np.deg2rad(12.0) * share, 1.2 * image.shape[1]
+    plane = np.array([[np.cos(angle), 0.0, 0.0], [0.0, 1.0, 0.0], [np.sin(angle) / focal, 0.0, 1.0]])
+    middle = np.array([[1.0, 0.0, 0.5 * width], [0.0, 1.0, 0.5 * height], [0.0, 0.0, 1.0]])
+    seen = middle @ plane @ np.linalg.inv(middle)
+    return np.asarray(cv2.warpPerspective(image, seen, (width, height), borderMode=cv2.BORDER_REFLECT))
+
+
 def turned(image: Image, share: float) -> Image:
     plane = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [4e-5 * share, 0.0, 1.0]])
     return np.asarray(cv2.warpPerspective(image, plane, image.shape[1::-1], borderMode=cv2.BORDER_REFLECT))
@@ -112,10 +130,15 @@ def bent(image: Image, share: float) -> Image:
     )
 
 
-@pytest.mark.parametrize(("change", "code"), [(turned, "out-of-plane"), (bent, "warped")])
+@pytest.mark.parametrize(("change", "code"), [(turned, "out-of-plane"), (orbited, "out-of-plane"), (bent, "warped")])
 def test_a_camera_that_turns_and_a_picture_that_is_stabilised(change: object, code: str) -> None:
     images = [change(one, index / 5) for index, one in enumerate(render(Scene()))]  # type: ignore[operator]
     assert code in [one.code for one in find_body(images).unfit]
+
+
+def test_a_body_that_fills_the_picture_and_stretches_is_no_camera_that_turns() -> None:
+    assert not find_body(render(Scene(block=(-60, -60, 600, 480), tool=None, depth=40.0))).unfit
+    assert not find_body(render(Scene(block=(-60, -60, 600, 480), swell=0.0, tool=None, depth=30.0))).unfit
 
 
 def test_a_rigid_thing_alone_is_not_surely_a_body() -> None:
