@@ -136,9 +136,11 @@ def test_what_contradicts_itself_is_refused(given: dict[str, Any], said: str) ->
         fit(**scaled(**given))
 
 
-def test_grams_given_as_newtons_and_a_scale_wrong_by_ten_are_doubted() -> None:
+def test_grams_or_kilograms_given_as_newtons_and_a_scale_wrong_by_ten_are_doubted() -> None:
     grams = fit(**scaled(force=f"{force_n(0.12) / 9.80665e-3:.6g}N"))
     assert any("grams" in one.text for one in grams.reasons)
+    kilograms = fit(**scaled(force=f"{force_n(0.12) / 20.0:.6g}N"))
+    assert any("kilograms" in one.text for one in kilograms.reasons)
     wrong = fit(**scaled(px_per_cm=10.0 * PX_PER_CM))
     assert any(one.code == "units" for one in wrong.reasons)
 

@@ -20,6 +20,8 @@ from deformscope.stages.see.particles import ParticleGrid, Rect, Tracked, select
 
 MOST_N = 100.0
 """A larger force is not what a kitchen scale shows [N]."""
+GEL_PA = 2e3
+"""Modulus below which a foam or a rubber is unlikely, and a force in kilograms likely [Pa]."""
 GAIN, RESOLUTION_N = 0.02, 9.80665e-3
 """Standard deviation of a force that is not stated: a share of it, and 1 g."""
 
@@ -135,6 +137,8 @@ def found_by_force(estimate: Estimate, pushed: Pushed, push: PushOptions, seed: 
         doubts.append(Doubt("not-converged", f"no modulus: {error}"))
         return dataclasses.replace(estimate, modulus_verdict="unidentified", reasons=ordered(doubts))
     doubts += [one for one in found.reasons if one.code == "units"]
+    if found.modulus[0] < GEL_PA:
+        doubts.append(Doubt("units", f"a modulus of {found.modulus[0]:.3g} Pa is a gel's: kilograms given as newtons?"))
     return dataclasses.replace(
         estimate,
         modulus=found.modulus,
