@@ -23,6 +23,7 @@ def double_device(driver: str, config: object) -> Iterator[Device[Any]]:
     config: as for the real device; the double has the address in it, and needs neither hardware nor a CAN interface of
     the kernel"""
     known = DRIVERS[driver]
+    config = known.complete(config)
     if known.simulated is not None:
         with known.simulated(of_any_serial(config), scene_of(driver)) as device:
             yield device
