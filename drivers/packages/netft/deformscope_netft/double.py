@@ -82,7 +82,7 @@ class NetftDouble:
 class NetftPage:
     """`with NetftPage() as page: NetftConfig(http_port=page.port)`: the sensor's page on loopback.
 
-    values: of its tags, as the sensor's own"""
+    values: content of its tags"""
 
     def __init__(self, **values: object) -> None:
         self.values: dict[str, object] = {
