@@ -29,7 +29,7 @@ GAIN, RESOLUTION_N = 0.02, 9.80665e-3
 TURN_SD, HAND_TURN = 2e-4, 2e-3
 """Standard deviation of a camera's turn that was seen, and of one by a hand [rad]."""
 LOOSE = 0.03
-"""Standard deviation of a depth by the camera's turn from which it is named, as a share."""
+"""Standard deviation of a depth from which a turn that is not known is named, as a share."""
 
 OF_IMAGES = ("nothing-moved", "rigid-motion", "axes-swapped", "unfit-images", "body-unsure")
 """Doubts of a fit that concern stiffness and modulus too, which do not rest on the fitted model."""
@@ -123,10 +123,9 @@ def found_by_force(estimate: Estimate, pushed: Pushed, push: PushOptions, seed: 
     doubts = list(estimate.reasons)
     if seen.force_n > MOST_N:
         doubts.append(Doubt("units", f"a force of {seen.force_n:.3g} N: grams given as newtons?"))
-    if (turned := _depth_by_turn(seen)) > LOOSE:
-        text = (
-            f"the depth is off by {turned:.0%} if a hand turned the camera: film more of what is still around the body"
-        )
+    depth = pushed_along(seen)
+    if depth is not None and seen.turn_sd == HAND_TURN and depth[2] > LOOSE * depth[1]:
+        text = f"the depth is off by {depth[2] / depth[1]:.0%} if a hand turned the camera: film more of what is still"
         doubts.append(Doubt("unfit-images", text, "weak"))
     if push.thickness_m is None or seen.metres_per_unit is None:
         return dataclasses.replace(estimate, reasons=ordered(doubts))
@@ -156,13 +155,6 @@ def _contact(seen: Observation, grid: ParticleGrid, held: Sequence[str], contact
     each = [one for one in each if len(one)] or [seen.touched]
     move = seen.deformed - seen.rest
     return max(each, key=lambda one: float(np.linalg.norm(move[one].mean(axis=0))))
-
-
-def _depth_by_turn(seen: Observation) -> float:
-    """Standard deviation of the depth by that of the camera's turn, as a share."""
-    each = [pushed_along(dataclasses.replace(seen, turn_sd=one)) for one in (seen.turn_sd, 0.0)]
-    sds = [one[2] / one[1] for one in each if one is not None]
-    return float(np.sqrt(max(sds[0] ** 2 - sds[1] ** 2, 0.0))) if len(sds) == 2 else 0.0
 
 
 def _depths(seen: Observation, history: Sequence[Tracked], turns: FloatArray) -> FloatArray:

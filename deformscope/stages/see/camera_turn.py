@@ -33,7 +33,7 @@ class CameraTurn:
         high = np.ceil(grid.rest_px.max(axis=0) + grid.spacing_px).astype(int)
         around[low[1] : high[1], low[0] : high[0]] = 0
         found: Any = cv2.goodFeaturesToTrack(self._first, POINTS, 0.01, max(shade.shape) / 100.0, mask=around)
-        self._at: Any = np.zeros((0, 1, 2), dtype=np.float32) if found is None else found
+        self._at: Any = np.zeros((1, 1, 2), dtype=np.float32) if found is None else found
         self._now = self._at
         self._seen: list[tuple[Any, Any]] = []
 
@@ -42,9 +42,6 @@ class CameraTurn:
 
     def look(self, image: Image) -> None:
         """Follow the points to the next image."""
-        if not len(self._at):
-            self._seen.append((self._at, np.zeros(0, dtype=bool)))
-            return
         shade = self._eight_bits(image)
         how: Any = {"winSize": WINDOW, "flags": cv2.OPTFLOW_USE_INITIAL_FLOW}
         self._now, there, _ = cv2.calcOpticalFlowPyrLK(self._first, shade, self._at, self._now.copy(), **how)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deformscope.arrays import FloatArray
-from deformscope.experiments.fit.push_force import HAND_TURN, Pushed, PushOptions, found_by_force, with_force
+from deformscope.experiments.fit.push_force import HAND_TURN, TURN_SD, Pushed, PushOptions, found_by_force, with_force
 from deformscope.stages.fit.calibrate import FitOptions, Model, Observation, calibrate
 from deformscope.stages.fit.force import contact_stiffness
 from deformscope.stages.materials.press_cycle import PressForce
@@ -32,7 +32,7 @@ def filmed(position: FloatArray, turn: float) -> FloatArray:
     return np.asarray((position - (350.0, 150.0)) @ np.array([[c, s], [-s, c]]) + (350.0, 150.0))
 
 
-def pushed(turns: FloatArray) -> tuple[Observation, Pushed]:
+def pushed(turns: FloatArray) -> Pushed:
     """What is found of a camera that turned by TURN, of which `turns` was seen."""
     depth = DEPTH_PX * np.clip((np.arange(FRAMES) - 5) / 20.0, 0.0, 1.0) ** 2
     count = len(GRID.rest_px)
@@ -50,11 +50,11 @@ def pushed(turns: FloatArray) -> tuple[Observation, Pushed]:
     force += 2e-3 * np.random.default_rng(0).standard_normal(len(clock))
     log = PressForce(clock, force, 2e-3)
     times = (np.arange(FRAMES) / FPS).tolist()
-    return seen, with_force(seen, GRID, history, times, turns, PARTS, CONTACT, PushOptions(), log, 0.9)
+    return with_force(seen, GRID, history, times, turns, PARTS, CONTACT, PushOptions(), log, 0.9)
 
 
 def test_a_camera_that_turns_moves_neither_clock_nor_depth() -> None:
-    found = pushed(TURN)[1]
+    found = pushed(TURN)
     assert found.offset is not None
     assert found.offset.value == pytest.approx(1.7, abs=0.2 / FPS)
     assert found.seen.force_n == pytest.approx(FORCE_N, rel=0.01)
@@ -66,11 +66,12 @@ def test_a_camera_that_turns_moves_neither_clock_nor_depth() -> None:
 
 
 def test_an_unknown_turn_is_named_and_in_the_interval() -> None:
-    seen, found = pushed(np.append(0.0, np.full(FRAMES - 1, np.nan)))
+    found = pushed(np.append(0.0, np.full(FRAMES - 1, np.nan)))
     assert found.seen.turn_sd == HAND_TURN
     _, (low, high) = contact_stiffness([found.seen], 0.9) or (0.0, (0.0, 0.0))
     assert high - low > 0.15 * FORCE_N / (0.1 * DEPTH_PX)
-    fit = FitOptions(Model(), candidates=8)
-    for one, named in ((found, True), (dataclasses.replace(found, seen=dataclasses.replace(seen, force_n=2.0)), False)):
-        estimate = found_by_force(calibrate([one.seen], fit).estimate, one, PushOptions(), 0)
-        assert any("turned the camera" in doubt.text for doubt in estimate.reasons) == named
+    estimate = calibrate([found.seen], FitOptions(Model(), candidates=8)).estimate
+    known = dataclasses.replace(found, seen=dataclasses.replace(found.seen, turn_sd=TURN_SD))
+    for one, named in ((found, True), (known, False)):
+        reasons = found_by_force(estimate, one, PushOptions(), 0).reasons
+        assert any("turned the camera" in doubt.text for doubt in reasons) == named
