@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
+from deformscope.stages.fit.force import pushed_along
 from deformscope.stages.fit.model import Observation
 from deformscope.stages.fit.plausible import check_poke
 from deformscope.stages.msm import clusters
@@ -250,8 +251,9 @@ def scene_of(model: FittedModel, law: Law, poke: Poke) -> tuple[PokeSetup, Layer
 def from_pair(
     seen: Observation, law: Law, stiffness: float | None, error: float, provenance: Mapping[str, object]
 ) -> FittedModel:
-    """A model of the very particles of one observation. stiffness: k [N/m], None if unknown; error: average distance of
-    the free particles [m]. Raises InputError where the scale is not known, or nothing was pushed."""
+    """A model of the very particles of one observation. stiffness: k [N/m], None if unknown; in images with a force, k
+    follows from that instead, and from the depth of the contact's face; error: average distance of the free particles
+    [m]. Raises InputError where the scale is not known, or nothing was pushed."""
     scale = seen.metres_per_unit
     if scale is None:
         raise InputError("positions in metres for a model that is saved", "pixels of unknown size", "--px-per-cm")
@@ -271,7 +273,7 @@ def from_pair(
     slips = bool(np.abs(sideways - sideways.mean(axis=0)).max() > SLIPPED * depth)
     place = seen.rest[touched].mean(axis=0) * scale
     tip = seen.tip or Tip("flat", tuple(float(max(side, gap)) * scale for side in across), slips)
-    return FittedModel(
+    model = FittedModel(
         body="particles",
         rest=seen.rest * scale,
         law=law,
@@ -289,6 +291,12 @@ def from_pair(
         fitted_strain=depth * scale / tip.width,
         provenance=provenance,
     )
+    at_face = pushed_along(seen) if seen.unit == "px" and seen.force_n else None
+    if stiffness is None or at_face is None:
+        return model
+    face = at_face[1] * scale  # a contact's face moves farther than the particles below it: k for its depth
+    k = model.stiffness * (seen.force_n or 0.0) / (predict(model, Poke(place, tip, depth=face)).force or np.nan)
+    return dataclasses.replace(model, stiffness=k, fitted_depth=face, fitted_strain=face / tip.width)
 
 
 def particle_scene(model: FittedModel, law: Law) -> PokeSetup:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from deformscope.errors import InputError
+from deformscope.stages.fit.force import contact_stiffness
 from deformscope.stages.fit.model import Observation
 from deformscope.stages.msm import clusters
 from deformscope.stages.msm.poke import Law, Poke, Tip
@@ -178,6 +179,23 @@ def test_particles_of_a_pair_can_be_poked_where_they_were_not() -> None:
     assert aside.position[aside.touched, 1].max() == pytest.approx(0.046)
     with pytest.raises(InputError, match="layers below a surface"):
         aside.at(np.zeros((1, 3)))
+
+
+def test_a_model_of_images_has_the_measured_stiffness_at_the_face_of_the_contact() -> None:
+    seen, _ = block()
+    filmed = dataclasses.replace(
+        seen, rest=1e4 * seen.rest, deformed=1e4 * seen.deformed, unit="px", metres_per_unit=1e-4, force_n=3.0
+    )
+    stiffness = contact_stiffness([filmed], 0.9)
+    assert stiffness is not None
+    made = from_pair(filmed, Law(0.6, 0.0, 3), 40.0, 0.1, {})
+    assert made.fitted_depth > 1.02 * 0.004
+    for share in (1.0, 0.5):
+        depth = share * 3.0e-3 / stiffness[0]
+        same = predict(made, Poke(made.places[0], made.tip, depth=depth))
+        assert same.force == pytest.approx(share * 3.0, rel=0.02)
+        assert same.force_interval[0] < share * 3.0 < same.force_interval[1]
+    assert not len(from_pair(filmed, Law(0.6, 0.0, 3), None, 0.1, {}).stiffness)
 
 
 def test_a_model_of_pixels_without_a_scale_is_refused() -> None:
