@@ -16,6 +16,9 @@ reports that. The dependent values are then bounds. A smaller probability opens 
 after a time within the hold is always reported. Approach speed needs no correction: the filters use the times of the
 force.
 
+The free air before and after a touch gives the drift of the force, which is taken off. Without air after it drift and
+slow creep look alike; the prior of `creep_law.DRIFT_N_PER_S` allows for that of a sensor that warms up.
+
 The ball's retract does not follow this law (Ting 1966) and is not fitted; `permanent_share` uses it. The energy loss of
 a cycle is the work of the measured forces on the approach less that on the retract."""
 
@@ -38,7 +41,7 @@ from deformscope.stages.poke.contact import (
     along_normal,
     since_contact,
 )
-from deformscope.stages.poke.creep_law import CreepDraws, CreepLaw, CreepSamples
+from deformscope.stages.poke.creep_law import DRIFT_N_PER_S, CreepDraws, CreepLaw, CreepSamples
 from deformscope.stages.poke.slip import SlipFit, fit_slip
 
 CreepBehaviour = Literal["elastic", "viscous", "plastic", "slipping", "unidentified"]
@@ -60,6 +63,11 @@ KEPT_DRAWS = 60
 for all three."""
 FORCE_DRAWS = 400
 """Number of sampled laws from which the remaining force is computed."""
+AIR, AIR_OFF = 5, 0.3
+"""Fewest samples of free air on either side that show a drift, and their least distance from first contact, as a share
+of the dent."""
+UNEVEN, NAMED = 0.2, 0.02
+"""Deviation of a drift from an even one, as a share, and the share of the set force from which it is named."""
 LAYERED, LAYERED_SD = 0.05, 0.05
 """Addition of a layer on a table to a ball's exponent: 0.04 to 0.07 on the slabs of `creep_law.BEND_SD`; foam itself
 may add to it."""
@@ -76,7 +84,8 @@ class CreepFit:
     probability above `relaxation.OPEN`, their intervals are open above, and that of the relaxed stiffness begins at
     0. If several branches are likely, some may be faster than the approach: the interval of `instant_n_per_mm` is open
     above, and with a reason no time is given (None)
-    reasons: "short-record": a branch may outlast the hold; "no-plateau": the foam may creep without end
+    reasons: "short-record": a branch may outlast the hold; "no-plateau": the foam may creep without end; "force-drift":
+    the force drifted, which is taken off and bounds no value
     short_record, no_plateau: probabilities of each
     force_kept: share of the force at the end of the approach that is left, held in place, for times within the hold
     loss: energy that the cycle lost over that of the approach; None if the retract was not recorded
@@ -125,7 +134,7 @@ class CreepFit:
         least, most = self.share_interval
         if self.verdict in ("elastic", "slipping"):
             return self.verdict
-        if self.reasons:
+        if self.reasons and self.relaxed_n_per_mm is None:
             return f"{self.verdict}, {self.reasons[0].code}: at least {least:.0%} relaxes"
         return f"{self.verdict}, {self.share:.0%} relaxes ({least:.0%} to {most:.0%})"
 
@@ -134,6 +143,7 @@ class CreepFit:
         """The foam's creep by the hold, as text."""
         held = f"; held in place it {self.force_kept[-1]}" if self.force_kept else ""
         loss = ("" if self.loss is None else f", a touch loses {self.loss:.0%} of its energy") + held
+        loss += "".join(f"; {one.code}: {one.text}" for one in self.reasons)
         if self.verdict == "elastic":
             return f"elastic within {self.held_s:.3g} s{loss}"
         if self.verdict == "slipping":
@@ -141,9 +151,8 @@ class CreepFit:
         if self.kept is not None and self.kept_interval is not None and self.verdict == "plastic":
             loss = ", {:.0%} ({:.0%} to {:.0%}) of the dent is permanent".format(self.kept, *self.kept_interval) + loss
         least, most = self.share_interval
-        if self.reasons or self.relaxed_n_per_mm is None or self.relaxed_interval is None:
-            doubts = "".join(f"; {one.code}: {one.text}" for one in self.reasons)
-            return f"{self.verdict}: at least {least:.0%} of the modulus relaxes{loss}{doubts}"
+        if self.relaxed_n_per_mm is None or self.relaxed_interval is None:
+            return f"{self.verdict}: at least {least:.0%} of the modulus relaxes{loss}"
         low, high = self.relaxed_interval
         relaxed = f"{self.relaxed_n_per_mm:.3g} N/mm ({low:.3g} to {high:.3g}) when relaxed"
         longer = " or more" if self.time_interval is not None and np.isinf(self.time_interval[1]) else ""
@@ -178,9 +187,12 @@ def fit_creep(
     z_m, force = along_normal(time_s, position_m, force_n, normal)
     zeroed, force_sd, _, among = since_contact(force[:loading], set_force_n, None)
     force = force - (force[0] - zeroed[0])
-    samples = CreepSamples.of(time_s, z_m, force, int(np.argmax(among)), loading, held)
+    first = int(np.argmax(among))
+    drift_n, drift_sd, drifted = _air_drift(time_s, z_m, force, first, held, force_sd, set_force_n)
+    force = force - drift_n
+    samples = CreepSamples.of(time_s, z_m, force, first, loading, held)
     exponent = (EXPONENT["sphere"] + LAYERED, LAYERED_SD) if radius_m else (EXPONENT["sphere"], EXPONENT_SD)
-    draws = CreepLaw(samples, exponent, set_force_n, arm, force_sd, radius_m).posterior()
+    draws = CreepLaw(samples, exponent, set_force_n, arm, force_sd, radius_m, drift_sd).posterior()
     held_s = float(time_s[held - 1] - time_s[loading - 1])
     seen = draws.seen(held_s)
     # without a reason, verdict and time are of what relaxes within the hold
@@ -230,7 +242,7 @@ def fit_creep(
         speed_m_s=speed_m_s,
         verdict=verdict,
         why=why,
-        reasons=seen.reasons,
+        reasons=(*seen.reasons, *drifted),
         force_kept=kept_of(some.strength, some.retarded_s, some.exponent, approach_s, held_s),
         short_record=seen.short_record,
         no_plateau=seen.no_plateau,
@@ -244,6 +256,27 @@ def fit_creep(
         log_at_reference=float(other_speed.mean()),
         log_at_reference_sd=float(other_speed.std()),
     )
+
+
+def _air_drift(
+    time_s: FloatArray, z_m: FloatArray, force_n: FloatArray, first: int, held: int, noise_n: float, set_force_n: float
+) -> tuple[FloatArray, float, tuple[Doubt, ...]]:
+    """Drift of the force (n,) since the air before contact [N], the deviation of its rate [N/s], and the reason if it
+    is large: by the free air before and after the touch. first: first sample in contact; held: the way back begins"""
+    clear_m = z_m[first] - AIR_OFF * (z_m[held - 1] - z_m[first])
+    before, after = np.flatnonzero(z_m[:first] < clear_m), held + np.flatnonzero(z_m[held:] < clear_m)
+    if min(len(before), len(after)) < AIR:
+        return np.zeros_like(force_n), DRIFT_N_PER_S, ()
+    began_s = float(time_s[before].mean())
+    apart_s = float(time_s[after].mean()) - began_s
+    rate = float(np.median(force_n[after]) - np.median(force_n[before])) / apart_s
+    rate_sd = 1.25 * noise_n * float(np.hypot(len(before) ** -0.5, len(after) ** -0.5)) / apart_s
+    text = (
+        f"the force drifted by {rate:+.2g} N/s from the free air before the touch to that after it, which is taken off"
+    )
+    named = abs(rate) * apart_s > NAMED * set_force_n and abs(rate) > 4.0 * rate_sd
+    drifted = (Doubt("force-drift", text),) if named else ()
+    return rate * (time_s - began_s), max(rate_sd, UNEVEN * abs(rate)), drifted
 
 
 def _relaxed(log: FloatArray, weight: FloatArray, seen: RelaxationSeen) -> dict[str, Any]:

@@ -30,8 +30,8 @@ LAW_OFF, LAW_RISE, LAW_LENGTH = 0.004, 0.4, 0.3
 """Error of that law in the log dent: a Gaussian process over log force, 0 at the set force. It has this deviation
 there, more below it (a power of the force), and this length. Elements that come into contact one after another make
 waves of 0.2 to 1 % (24 slabs as above, seeds reserved for choosing). Foam itself is no better."""
-DRIFT_N_PER_S = 0.001
-"""Deviation of a force sensor's drift: 0.06 N a minute [assumed]."""
+DRIFT_N_PER_S = 0.002
+"""Deviation of a force sensor's drift where no free air after the touch shows it: that of one that warms up."""
 BALL_STEPS = 400
 SHAPE = 5
 """Parameters of the law without a memory."""
@@ -96,6 +96,7 @@ class CreepLaw:
         arm: ArmCompliance,
         force_sd_n: float,
         radius_m: float | None,
+        drift_sd_n_per_s: float = DRIFT_N_PER_S,
     ) -> None:
         self._ball = _ball(radius_m) if radius_m else None
         fitted = slice(samples.first, None)
@@ -119,7 +120,7 @@ class CreepLaw:
         self._whitens = np.diag(1.0 / np.hypot(sd, LAW_OFF * depth_m))
         one = self._fitted(self._spectra[1]).likeliest()
         self._log_force, self._dent_m = (each[0] for each in self._dents(one, self._spectra[1])[:2])
-        drift_m = DRIFT_N_PER_S * (samples.time_s[fitted] - begins_s) * slope_m / set_force_n
+        drift_m = drift_sd_n_per_s * (samples.time_s[fitted] - begins_s) * slope_m / set_force_n
         self._off_m2 = self._dent_m * _off_together(self._log_force, self._log_force) * self._dent_m[:, None]
         self._off_m2 += drift_m * drift_m[:, None]
         self._whitens = _whitening(sd, self._off_m2)

@@ -16,10 +16,17 @@ RATE_HZ, LOAD_S, SET_N, DEPTH_M, EXPONENT = 100.0, 0.8, 3.0, 0.006, 1.5
 
 
 def touch(
-    shares: tuple[float, ...], times_s: tuple[float, ...], hold_s: float, noise_m: float = 0.0, load_s: float = LOAD_S
+    shares: tuple[float, ...],
+    times_s: tuple[float, ...],
+    hold_s: float,
+    noise_m: float = 0.0,
+    load_s: float = LOAD_S,
+    drift_n: float = 0.0,
+    air_after: bool = False,
 ) -> CreepFit:
     """A ball pressed with a force that rises and stays, on E(t) / E0 = 1 - sum g + sum g exp(-t / tau), by a Volterra
-    equation in steps of 1 ms: F(t) = integral of E(t - s) d(c y(s)), y = depth^p."""
+    equation in steps of 1 ms: F(t) = integral of E(t - s) d(c y(s)), y = depth^p. drift_n: even drift of the sensor
+    from the first sample to the end of the hold; air_after: the tip leaves 1 mm a sample, and stays away"""
     step = 1e-3
     time = np.arange(round((load_s + hold_s) / step) + 1) * step
     force = SET_N * np.minimum(time / load_s, 1.0)
@@ -42,9 +49,38 @@ def touch(
     random = np.random.default_rng(1)
     z = depth + 1e-4 * force + noise_m * random.standard_normal(len(depth))
     felt = force + 0.01 * random.standard_normal(len(force))
-    loading = 30 + round(load_s * RATE_HZ) + 1
+    loading, held = 30 + round(load_s * RATE_HZ) + 1, len(time)
+    if air_after:
+        gone = np.arange(1, 41)
+        time = np.append(time, time[-1] + gone / RATE_HZ)
+        z = np.append(z, np.maximum(z[-1] - 1e-3 * gone, -5e-3))
+        left = np.maximum(1.0 - gone / 4.0, 0.0) * SET_N  # it loses contact sooner than it had touched
+        felt = np.append(felt, left + 0.01 * random.standard_normal(len(gone)))
+    felt = felt + drift_n * (time - time[0]) / (time[held - 1] - time[0])
     arm = ArmCompliance(1e-4, 1e-6)
-    return fit_creep(time, -z[:, None] * UP, felt[:, None] * UP, UP, loading=loading, held=len(time), arm=arm)
+    return fit_creep(time, -z[:, None] * UP, felt[:, None] * UP, UP, loading=loading, held=held, arm=arm)
+
+
+@pytest.mark.parametrize("drift_n", [0.2, -0.2])
+def test_free_air_after_a_touch_shows_that_the_force_drifts(drift_n: float) -> None:
+    """An elastic foam stays elastic, and a branch is found, with the drift named; without that air both look alike."""
+    elastic = touch((), (), 9.0, noise_m=5e-5, drift_n=drift_n, air_after=True)
+    assert elastic.verdict == "elastic"
+    assert [one.code for one in elastic.reasons] == ["force-drift"]
+    assert f"drifted by {drift_n / 10.1:+.2g} N/s" in elastic.text
+    assert elastic.instant_n_per_mm == pytest.approx(1e-3 * SET_N / DEPTH_M, rel=0.03)
+    branch = touch((0.3,), (1.0,), 9.0, noise_m=5e-5, drift_n=drift_n, air_after=True)
+    assert [one.code for one in branch.reasons] == ["force-drift"]
+    assert branch.share_interval[0] < 0.3 < branch.share_interval[1]
+    assert branch.time_interval[0] < 1.0 < branch.time_interval[1]
+    assert branch.relaxed_n_per_mm is not None
+    assert "at least" not in branch.brief
+
+
+def test_a_force_that_does_not_drift_names_nothing_after_a_touch() -> None:
+    fit = touch((0.3,), (1.0,), 9.0, noise_m=5e-5, air_after=True)
+    assert fit.reasons == ()
+    assert fit.share == pytest.approx(0.3, abs=0.06)
 
 
 @pytest.mark.parametrize(
