@@ -240,7 +240,7 @@ def estimate_of(
     noise = doubts.residual_ratio(seen, simulated, floor), inferred.noise, doubts.noise_source(seen)
     judge = partial(doubts.found_in_numbers, parameter, ends, known, converged=converged, seen=seen)
     ranked = least_aee[0], inferred.posterior.rank(least_aee[0])
-    here = [doubts.setting(seen, options.model, known.misfit, inferred.noise)] if parameter == "theta" else []
+    here = doubts.setting(seen, options.model, known.misfit, inferred.noise) if parameter == "theta" else ()
     reasons = doubts.ordered([*judge(noise=noise, least_aee=ranked), *found, *here, *added])
     of_stiffness = doubts.of_stiffness(reasons)
     free = [distances(c.simulated, c.observed)[s.free_observed] for c, s in zip(comparisons, seen, strict=True)]

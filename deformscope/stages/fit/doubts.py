@@ -68,6 +68,9 @@ seeds (`studies.seeds`): the squares of 750 bodies with right columns were no le
 BULGES = (0.1, 0.2, 0.35, 0.5, 0.75, 1.0)
 """Values of theta at which a body may bulge instead."""
 
+SLIDES, SLIDES_SURE = 0.01, 4.0
+"""Least sliding of held particles over what holds them, as a share of the push, and in deviations of its noise."""
+
 NEGLIGIBLE, MISFIT_LEAST = 1e-3, 0.5
 """Share of a push below which a misfit does not change theta, and share of the noise from which it does."""
 
@@ -379,7 +382,7 @@ def swapped_axes(
 # What a value holds for ----------------------------------------------------------------------------------------------
 
 
-def setting(seen: Sequence[Observation], model: Model, misfit: float, noise: float) -> Doubt:
+def setting(seen: Sequence[Observation], model: Model, misfit: float, noise: float) -> Iterator[Doubt]:
     """The setting for which theta is valid; with misfit of half the noise [unit] another depth gives another theta."""
     share = max(push_share(one) for one in seen)
     least = NEGLIGIBLE * share * max(size_of(one.rest) for one in seen)
@@ -387,11 +390,37 @@ def setting(seen: Sequence[Observation], model: Model, misfit: float, noise: flo
     one_cluster = model.cluster_size is None
     group = f"one {model.basis} cluster" if one_cluster else f"{model.basis} clusters of {model.cluster_size} a side"
     fixed = f", beta {model.beta:g}" if model.parameter == "theta" else ""
+    slid, unit = max((_slid(one, noise) for one in seen), default=0.0), "px" if seen[0].unit == "px" else "m"
+    held = f"held particles that slide by up to {slid:.2g} {unit}" if slid else "held particles that do not slide"
+    if slid:
+        how = f"{held} over what holds them: theta goes with friction; compare it with values of the same surfaces only"
+        yield Doubt("held-slides", how, "weak")
     text = (
-        f"theta holds for this setting: a push of {share:.0%} of the body's size, {many} particles in {group}{fixed}; "
-        "another depth or resolution gives another value"
+        f"theta holds for this setting: a push of {share:.0%} of the body's size, {many} particles in {group}{fixed}, "
+        f"{held}; another depth, resolution or friction gives another value"
     )
-    return Doubt("setting", text, "weak" if misfit > max(MISFIT_LEAST * noise, least) else None)
+    yield Doubt("setting", text, "weak" if misfit > max(MISFIT_LEAST * noise, least) else None)
+
+
+def _slid(seen: Observation, noise: float) -> float:
+    """How far held particles of a flat side slide apart [unit]: the largest motion by an even strain of the side that a
+    tool moves, or that stays. 0 where noise [unit] may look the same, or the particles are on no flat side."""
+    moved, touched = seen.deformed - seen.rest, np.isin(seen.held, seen.touched)
+    sd = 0.0 if seen.held_measured is False else noise if seen.noise is None else float(seen.noise[seen.held].max())
+    farthest, push = 0.0, push_share(seen) * size_of(seen.rest)
+    for side in (seen.held[touched], seen.held[~touched]):
+        at = seen.rest[side] - seen.rest[side].mean(axis=0)
+        size, along = np.linalg.svd(at, full_matrices=False)[1:] if len(side) else (np.zeros(1), at)
+        flat = size > 1e-6 * size_of(seen.rest)
+        if len(side) <= flat.sum() or not 0 < flat.sum() < at.shape[1]:
+            continue
+        place = at @ along[flat].T
+        strain = np.linalg.lstsq(place, (moved[side] - moved[side].mean(axis=0)) @ along[flat].T, rcond=None)[0]
+        far = np.linalg.norm(place @ (0.5 * (strain + strain.T)), axis=1)
+        unsure = SLIDES_SURE * sd * float(np.linalg.norm(place, axis=1).max() / size[flat].min())
+        if far.max() > max(SLIDES * push, unsure):
+            farthest = max(farthest, float(far.max()))
+    return farthest
 
 
 def push_share(seen: Observation) -> float:

@@ -47,6 +47,7 @@ DoubtCode = Literal[
     "axes-swapped",
     "two-materials",
     "held-off",
+    "held-slides",
     "setting",
     "short-record",
     "no-plateau",

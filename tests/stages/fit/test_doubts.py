@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from deformscope.arrays import FloatArray
+from deformscope.lab.elasticity import ElasticBox
 from deformscope.pictures.messages import estimate_rows
 from deformscope.stages.fit import doubts
 from deformscope.stages.fit.calibrate import FitOptions, Model, Observation, calibrate
@@ -22,7 +23,7 @@ from deformscope.stages.msm.materials import Plasticity
 from deformscope.stages.msm.plastic import PlasticMsm
 from studies.reproduce.pressed_cubes import thesis_cubes
 from tests.cases import each_once, slow
-from tests.stages.bodies import pushed
+from tests.stages.bodies import lattice, pushed
 from tests.stages.materials.test_plasticity import BETA, pressed
 
 BOUNDS = (0.0, 0.99)
@@ -361,7 +362,64 @@ def test_splits_take_a_body_as_two_halves_or_a_lump_and_the_rest() -> None:
 
 def test_the_setting_counts_for_nothing_where_noise_outweighs_the_misfit() -> None:
     seen = seen_sheet(0.6)
-    assert doubts.setting([seen], Model("theta"), 4e-5, 1e-4).allows is None
-    assert doubts.setting([seen], Model("theta"), 6e-5, 1e-4).allows == "weak"
-    assert doubts.setting([seen], Model("theta"), 1e-4, 1e-5).allows == "weak"
-    assert doubts.setting([seen], Model("theta"), 1e-7, 1e-9).allows is None  # what is left is the solver's
+    for misfit, noise, allows in ((4e-5, 1e-4, None), (6e-5, 1e-4, "weak"), (1e-4, 1e-5, "weak")):
+        assert [one.allows for one in doubts.setting([seen], Model("theta"), misfit, noise)] == [allows]
+    # what is left is the solver's
+    assert [one.allows for one in doubts.setting([seen], Model("theta"), 1e-7, 1e-9)] == [None]
+
+
+def plates(slide_m: float, noise_m: float, seed: int = 0, turn_deg: float = 0.0) -> Observation:
+    """A cube of 10 cm between plates, pressed by 1 cm, whose top slides outwards by `slide_m` at its edges."""
+    rest = lattice((6, 6, 6), 0.02)
+    at = rest - rest.mean(axis=0)
+    bottom, top = (np.flatnonzero(np.isclose(rest[:, 2], z)) for z in (rest[:, 2].min(), rest[:, 2].max()))
+    strain = slide_m / 0.05
+    deformed = rest.copy()
+    deformed[:, 2] -= 0.01 * (at[:, 2] + 0.05) / 0.1
+    deformed[:, :2] += at[:, :2] * (strain * (at[:, 2:] + 0.05) / 0.1)
+    turn = Rotation.from_euler("z", turn_deg, degrees=True).as_matrix()
+    deformed[top] = (deformed[top] - deformed[top].mean(axis=0)) @ turn.T + deformed[top].mean(axis=0)
+    deformed += np.random.default_rng(seed).normal(0.0, noise_m, rest.shape)
+    noise = np.full(len(rest), max(noise_m, 1e-6))
+    return Observation(rest, deformed, np.append(bottom, top), np.ones(len(rest), dtype=bool), noise=noise)
+
+
+@pytest.mark.parametrize(("slide_m", "noise_m"), [(4e-4, 0.0), (-4e-4, 5e-5), (1.2e-3, 2e-4)])
+def test_plates_that_slide_are_named_in_the_setting_of_theta(slide_m: float, noise_m: float) -> None:
+    slides, here = doubts.setting([plates(slide_m, noise_m)], Model("theta"), 0.0, max(noise_m, 1e-6))
+    assert (slides.code, slides.allows, here.code) == ("held-slides", "weak", "setting")
+    edge = float(re.search(r"slide by up to (\S+) m", here.text)[1])
+    assert edge == pytest.approx(np.sqrt(2.0) * abs(slide_m), rel=0.3)
+    assert "friction" in slides.text
+
+
+@pytest.mark.parametrize("slides", [False, True])
+def test_a_cube_whose_plate_slides_has_a_theta_of_its_own_that_is_not_identified(slides: bool) -> None:
+    """Finite elements without friction at the top: the setting is named, whatever the interval."""
+    axis = np.linspace(0.0, 0.1, 5)
+    box = ElasticBox(axis, axis, axis, young=5e4, poisson=0.33)
+    bottom, top = box.plane(2, 0.0), box.plane(2, 0.1)
+    fixed = np.repeat((bottom | top)[:, None], 3, axis=1)
+    fixed[top, :2] = not slides
+    fixed[top & (np.abs(box.nodes[:, :2] - 0.05).max(axis=1) < 1e-9)] = True
+    pressed = np.zeros(box.nodes.shape)
+    pressed[top, 2] = -0.01
+    rest, moved = box.nodes[box.corners], box.hold(fixed).solve(pressed).displacement[box.corners]
+    held = np.flatnonzero((bottom | top)[box.corners])
+    noise = np.random.default_rng(5).normal(0.0, 4e-4, rest.shape)
+    noise[held] *= 0.1
+    sd = np.where(np.isin(np.arange(len(rest)), held), 4e-5, 4e-4)
+    seen = Observation(rest, rest + moved + noise, held, np.ones(len(rest), dtype=bool), noise=sd, held_measured=True)
+    model = Model("theta", cluster_size=None, basis="quadratic", beta=0.99)
+    found = calibrate([seen], FitOptions(model, (0.0, 1.0))).estimate
+    assert ("held-slides" in codes(found.reasons)) is slides
+    assert found.verdict != "identified" or not slides
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 3.0])
+@pytest.mark.parametrize("noise_m", [0.0, 5e-4])
+def test_plates_that_hold_a_body_are_named_too(noise_m: float, turn_deg: float) -> None:
+    """By noise of .5 mm in a push of 1 cm, or as the plate turns, nothing slides."""
+    for seed in range(200 if noise_m else 1):
+        (here,) = doubts.setting([plates(0.0, noise_m, seed, turn_deg)], Model("theta"), 0.0, max(noise_m, 1e-6))
+        assert "held particles that do not slide" in here.text
