@@ -1,11 +1,13 @@
 """`deformscope calibrate arm`: touch something rigid, and write the arm's compliance into the rig file."""
 
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
+from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.experiments.explore.explore import ExplorationStopped
 from deformscope.experiments.explore.options import ExploreOptions
@@ -32,7 +34,7 @@ from deformscope.stages.poke.contact import ArmCompliance
 from deformscope.terminal import say, until_interrupted
 
 if TYPE_CHECKING:
-    from deformscope.config import ArmConfig
+    from deformscope.config import ArmConfig, CertifyConfig
     from deformscope.recording.recorder import Recorder
 
 
@@ -53,35 +55,61 @@ def calibrate_arm(
         came = f"{xy_m[0]:g},{xy_m[1]:g}"
         raise InputError(f"--at on the surface: between 0,0 and {width:g},{height:g} m", came)
     made: list[ComplianceTouch] = []
+
+    def touching(geometry: FromFrames, line: Callable[[str], None]) -> RigExperiment[None]:
+        def found_one(one: ComplianceTouch) -> None:
+            made.append(one)
+            line("")
+            give = 1e3 * one.found.compliance_m_per_n
+            say(f"touch {len(made)}: {give:.3f} mm/N, pressed with {one.peak_force_n:.2f} N")
+
+        return touch_rigid(geometry, options, xy_m, config.touches, found_one)
+
+    def result() -> RigCalibrationResult:
+        return _result(combine_compliance(made), f"({100 * xy_m[0]:.0f}, {100 * xy_m[1]:.0f}) cm")
+
+    known = {name: there for name, there in setup.calibrated.items() if "compliance" not in name}
+    found = touched_result(config, opening, recording, known, xy_m[None], touching, result)
+    if config.write and not config.rig.startswith(LAB):
+        write_values(Path(config.rig), found.dated)
+    return found
+
+
+def touched_result(
+    config: "ArmConfig | CertifyConfig",
+    opening: Opening,
+    recording: "AbstractContextManager[Recorder]",
+    calibrated: Mapping[str, bool],
+    places_m: FloatArray,
+    touching: Callable[[FromFrames, Callable[[str], None]], RigExperiment[None]],
+    result: Callable[[], RigCalibrationResult],
+) -> RigCalibrationResult:
+    """Check, ask, and touch places (n, 2) [m]; the result of these touches, recorded. calibrated: as in `permitted`;
+    touching: the experiment by the
+    robot's geometry and a function that shows a line; result: called after it. Ends the command after a stop."""
+    setup, options = opening.setup, opening.options
     stop: ExplorationStop | None = None
     with until_interrupted() as asked, recording as recorder, open_rig_run(setup.open_source(), recorder) as opened:
         watch = opened.watch(asked)
 
-        def found_one(one: ComplianceTouch) -> None:
-            made.append(one)
-            opened.line("")
-            give = 1e3 * one.found.compliance_m_per_n
-            say(f"touch {len(made)}: {give:.3f} mm/N, pressed with {one.peak_force_n:.2f} N")
-
-        def touching(robot: TouchingRobot) -> RigExperiment[None]:
-            known = {name: there for name, there in setup.calibrated.items() if "compliance" not in name}
-            yield from permitted(robot, setup, options, known, asked, yes=config.yes, places_m=xy_m[None])
-            yield from touch_rigid(FromFrames(robot.geometry, options), options, xy_m, config.touches, found_one)
+        def permitted_touching(robot: TouchingRobot) -> RigExperiment[None]:
+            yield from permitted(robot, setup, options, calibrated, asked, yes=config.yes, places_m=places_m)
+            yield from touching(FromFrames(robot.geometry, options), opened.line)
 
         with touching_robot(setup, opened.source, options, watch) as robot, watch.halts(robot):
             try:
-                run_session(opened.source, touching(robot), recorder, robot)
+                run_session(opened.source, permitted_touching(robot), recorder, robot)
             except ExplorationStopped as error:
                 stop = error.stop
                 recorder.stopped_because(f"{stop.kind}: {stop.reason}")
         found = None
         if stop is None:
-            found = _result(combine_compliance(made), f"({100 * xy_m[0]:.0f}, {100 * xy_m[1]:.0f}) cm")
+            found = result()
             recorder.write(Step((RigFindings(found.findings(config.rig), tuple(opened.source.streams)),)))
     if found is None:
-        leave_arm(stop, len(made), asked, recorder.summary().path, arm_stopped=watch.arm_stopped)
-    if config.write and not config.rig.startswith(LAB):
-        write_values(Path(config.rig), found.dated)
+        leave_arm(
+            stop, 0 if stop is None else stop.touch, asked, recorder.summary().path, arm_stopped=watch.arm_stopped
+        )
     return found
 
 

@@ -1,7 +1,7 @@
 """The compliance of an arm, from touches of something rigid, and whether camera and arm agree about its place."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from deformscope.experiments.explore.explore import Look
 from deformscope.experiments.explore.options import ExploreOptions
 from deformscope.experiments.explore.robot_geometry import Geometry
 from deformscope.session import RigExperiment, ask
+from deformscope.stages.map.measured import TouchMeasurement
 from deformscope.stages.map.surface import fit_surface
 from deformscope.stages.poke.contact import ArmCompliance, calibrate_compliance, fit_approach
 
@@ -50,6 +51,25 @@ class CombinedCompliance:
     dome: float = 0.0
 
 
+def touch_places(
+    geometry: Geometry,
+    places_m: FloatArray,
+    touched: Callable[[TouchMeasurement, float], None],
+    forces_n: Sequence[float] = (),
+) -> RigExperiment[None]:
+    """The experiment that touches places (n, 2) [m] one after the other, after a look. touched: called with each touch
+    and the height at which the camera sees the surface there; forces_n: set force of each, if not that of the options.
+    Raises ExplorationStopped, and InputError if the camera sees no surface."""
+    seen = geometry.look((yield from ask(Look())))
+    world = fit_surface(seen.points_m, noise_m=seen.noise_m, within_m=((0.0, 0.0), geometry.size_m), outlier_sd=5.0)
+    for number, xy_m in enumerate(places_m):
+        height_m, normal = float(world.at(xy_m[None]).mean[0]), world.normals(xy_m[None])[0]
+        touch = geometry.approach(xy_m, height_m, normal, None)
+        if forces_n and touch.plan is not None:
+            touch = replace(touch, plan=replace(touch.plan, set_force_n=forces_n[number], more_force_n=None))
+        touched(geometry.touch((yield from ask(touch))), height_m)
+
+
 def touch_rigid(
     geometry: Geometry,
     options: ExploreOptions,
@@ -57,14 +77,11 @@ def touch_rigid(
     touches: int,
     found_one: Callable[[ComplianceTouch], None],
 ) -> RigExperiment[None]:
-    """The experiment that touches a place (2,) [m] of something rigid several times, after a look at it. found_one:
-    called with each touch. Raises ExplorationStopped, and InputError if the camera sees no surface."""
-    seen = geometry.look((yield from ask(Look())))
-    world = fit_surface(seen.points_m, noise_m=seen.noise_m, within_m=((0.0, 0.0), geometry.size_m), outlier_sd=5.0)
-    height_m = float(world.at(xy_m[None]).mean[0])
-    normal = world.normals(xy_m[None])[0]
-    for _ in range(touches):
-        made = geometry.touch((yield from ask(geometry.approach(xy_m, height_m, normal, None)))).approach
+    """The experiment that touches a place (2,) [m] of something rigid several times, as `touch_places`. found_one:
+    called with each touch."""
+
+    def touched(measured: TouchMeasurement, height_m: float) -> None:
+        made, normal = measured.approach, measured.normal
         found = calibrate_compliance(
             made.time_s, made.position_m, made.force_n, normal, set_force_n=options.set_force_n
         )
@@ -80,6 +97,8 @@ def touch_rigid(
                 "a block of steel or stone, fixed to the surface",
             )
         found_one(ComplianceTouch(found, law.peak_force_n, height_m, met_m))
+
+    return touch_places(geometry, np.tile(xy_m, (touches, 1)), touched)
 
 
 def combine_compliance(touches: list[ComplianceTouch]) -> CombinedCompliance:
