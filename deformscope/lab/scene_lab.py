@@ -138,7 +138,7 @@ class SceneLab:
             self._world = CreepingWorld(foam, self._relaxation)
             if any(piece.plateau_exponent for piece in scene.pieces):
                 raise InputError("foams that yield, or that creep", scene.name, "two-60y20-150y20, two-60c30-150")
-        self._tip = RigidTip(radius=tip_radius_m)
+        self._tip = RigidTip(radius=tip_radius_m * self.drawn.tip)
         self._contact: Contact | None = None
         view = DepthViewConfig(width=320, height=240, azimuth_deg=CAMERA_AZIMUTH_DEG)
         self.view = DepthView(scene, view)

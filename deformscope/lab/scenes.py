@@ -21,7 +21,8 @@ modulus relaxes, with a time constant of 1 s; in `60p20` and `60c30p20` 20 % of 
 yields: its stress tends to a plateau near a twentieth of its modulus (Ogden's law, `deformscope.lab.plateau_world`).
 
 `buried-A-B` is a foam of A with a ball of B glued into it, which does not reach the surface, and `empty-A` the same
-foam without it: smaller and thicker slabs (`BURIED`).
+foam without it: smaller and thicker slabs (`BURIED`). `block-162` is a block of 100 kPa, known within 2 %, to certify
+rigs on (`deformscope certify`).
 """
 
 import difflib
@@ -90,6 +91,7 @@ _STRIPES_OR_T = (
 )
 _INSIDE_OUT = Range("inside out", 0, 2, "half")
 _HARDNESS = Range("hardness", 0.9, 1.1, "of the nominal one")
+_KNOWN = Range("hardness", 0.98, 1.02, "of the nominal one")
 
 
 def _metres(**drawn: tuple[float, float]) -> tuple[Range, ...]:
@@ -104,6 +106,7 @@ def _degrees(what: str, most: float) -> Range:
 _SPOT = _metres(centre_x=(0.08, 0.52), centre_y=(0.08, 0.32))
 DRAWN: dict[str, tuple[Range, ...]] = {
     "homogeneous": (_HARDNESS,),
+    "block": (_KNOWN,),
     "two": _BORDER,
     "three": _STRIPES_OR_T,
     "disc": (*_metres(centre_x=(0.17, 0.43), centre_y=(0.14, 0.26), radius=(0.08, 0.10)), _INSIDE_OUT),
@@ -357,7 +360,7 @@ PIECES |= dict.fromkeys(("bumpy", "wavy", "corner", "strip", "patches", "ring", 
 PIECES |= dict.fromkeys(("wedge", "step", "egg-crate"), ("110",))
 """Hardness [N] of the pieces where the name does not say; 30 and 200 N are 19 and 123 kPa."""
 
-COUNT = {"homogeneous": 1, "two": 2, "three": 3} | {kind: len(pieces) for kind, pieces in PIECES.items()}
+COUNT = {"homogeneous": 1, "block": 1, "two": 2, "three": 3} | {kind: len(pieces) for kind, pieces in PIECES.items()}
 
 
 def built_in(name: str, seed: int = 0) -> Scene:

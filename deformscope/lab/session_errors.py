@@ -35,7 +35,8 @@ class LabErrors:
     scatter: range of the deviation of log stiffness within one material, drawn evenly in logarithms;
     scatter_length_m: length over which it changes
     thickness: deviation of the true thickness as a share of the stated one; overshoot_m: overshoot of the arm after the
-    stop, uniform from 0; friction: friction of the tip on the surface, evenly from 0"""
+    stop, uniform from 0; friction: friction of the tip on the surface, evenly from 0; tip: deviation of the log of the
+    true tip's radius over the stated one"""
 
     arm: float = ARM_DOUBT
     gain: float = 0.03
@@ -45,6 +46,12 @@ class LabErrors:
     thickness: float = 0.03
     overshoot_m: float = 3e-4
     friction: float = 0.3
+    tip: float = 0.0
+
+    @classmethod
+    def uncertified(cls) -> "LabErrors":
+        """Those of a rig that nobody has certified: a wrong tip, an old sensor, a loose stick; on silicone."""
+        return cls(arm=0.5, gain=0.12, drift=0.0, scatter=(0.003, 0.01), thickness=0.01, tip=0.1)
 
     @classmethod
     def none(cls) -> "LabErrors":
@@ -68,6 +75,7 @@ class LabErrors:
             friction_rad=float(random.uniform(0.0, 2.0 * np.pi)),
             wave_rad_m=random.standard_normal((WAVES, 2)) / self.scatter_length_m,
             phase_rad=random.uniform(0.0, 2.0 * np.pi, WAVES),
+            tip=float(np.exp(self.tip * random.standard_normal())),
         )
 
     def plain(self) -> dict[str, Any]:
@@ -82,7 +90,7 @@ class SessionErrors:
     arm_n_per_m: the arm's true stiffness; gain: initial ratio of measured to true force, drift: its change in
     TOUCHES_S; scatter_sd: deviation of log stiffness within a material; thickness: true over stated; overshoot_m;
     friction: sideways over normal force, towards `friction_rad`; wave_rad_m, phase_rad: (w, 2), (w,) wave and phase of
-    the scatter's field"""
+    the scatter's field; tip: true over stated radius of the tip"""
 
     arm_n_per_m: float
     gain: float
@@ -94,6 +102,7 @@ class SessionErrors:
     friction_rad: float
     wave_rad_m: FloatArray
     phase_rad: FloatArray
+    tip: float = 1.0
 
     def scatter(self, xy_m: FloatArray) -> FloatArray:
         """(...,) log stiffness at places (..., 2) relative to its material's level: a Gaussian random field of squared

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from deformscope.lab.live_lab import LiveLab
     from deformscope.lab.randomized_rig import RandomizedRig
     from deformscope.lab.scenes import Scene
+    from deformscope.lab.session_errors import LabErrors
     from deformscope.lab.touch_lab import TouchLab
     from deformscope.rig.rig_file import Rig
     from deformscope.robot.description import Removal
@@ -58,6 +59,8 @@ def setup_of(
     removal: "Removal | None" = None,
     tangential: Literal["held", "free"] | None = None,
     scene: "Scene | None" = None,
+    errors: "LabErrors | None" = None,
+    corrected: bool = False,
 ) -> Opening:
     """The setup of `lab:NAME`, of a rig file, not opened, or of a recording.
 
@@ -65,7 +68,8 @@ def setup_of(
     clean: no hidden errors in the laboratory; camera: error model of its camera; robot: the robot's model in the
     images;
     removal: how that is taken out of its pictures; tangential: motion of the tip across the normal, None = what the rig
-    file has, in the laboratory free where `options` are the thesis's; scene: scene of a name that is not built in"""
+    file has, in the laboratory free where `options` are the thesis's; scene: scene of a name that is not built in;
+    errors: distributions of the laboratory's hidden errors; corrected: by the rig's certificate"""
     if name.startswith(LAB):
         from deformscope.experiments.explore.options import TRAVEL_M_S
         from deformscope.experiments.measured import highest_m
@@ -80,7 +84,9 @@ def setup_of(
         if set_force_n is not None:
             options = dataclasses.replace(options, set_force_n=set_force_n)
         parked_m = highest_m(options)
-        errors = LabErrors.none() if clean else LabErrors()
+        if corrected:
+            raise InputError("a rig file with a [certificate], for --corrected", name, "deformscope certify RIG --save")
+        errors = errors or (LabErrors.none() if clean else LabErrors())
         made = SceneLab(
             scene,
             tip_radius_m=options.tip_radius_m,
@@ -107,6 +113,8 @@ def setup_of(
         raise InputError("a rig file, or lab:NAME", repr(name), near)
     is_recording = name.lower().endswith(SUFFIX)
     rig = recorded_rig(Path(name)) if is_recording else load_rig(name, trusted=trusted)
+    if corrected:
+        rig = rig.corrected()
     options = dataclasses.replace(
         options,
         set_force_n=rig.workspace.target_force_n if set_force_n is None else set_force_n,
@@ -115,7 +123,8 @@ def setup_of(
         thickness_stated=rig.surface.thickness_m is not None,
         tangential=tangential or rig.touch.tangential,
     )
-    settings = {"rig": rig.text, "rig_name": rig.name, "scene": rig.surface.scene}
+    settings: dict[str, Any] = {"rig": rig.text, "rig_name": rig.name, "scene": rig.surface.scene}
+    settings |= {"corrected": True} if corrected else {}
     if is_recording:
         from deformscope.experiments.explore.recorded_touches import recorded_setup
 
