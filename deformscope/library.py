@@ -487,12 +487,12 @@ def catalog(
         return catalogue(Path(folder), where, sort, [one for one in shown if one], progress=note)
 
 
-def compare_recordings(first: Path | str, second: Path | str) -> "ComparedRecordings":
-    """How two recordings differ: settings, results, and readings of devices aligned by contact.
-    Raises InputError if a file is no recording."""
+def compare_recordings(first: Path | str, second: Path | str, *, corrected: bool = False) -> "ComparedRecordings":
+    """How two recordings differ: settings, results, and readings of devices aligned by contact. corrected: without the
+    bias that each rig's certificate states. Raises InputError if a file is no recording."""
     from deformscope.runs import catalog as catalogs
 
-    return catalogs.compare_recordings(Path(first), Path(second))
+    return catalogs.compare_recordings(Path(first), Path(second), corrected=corrected)
 
 
 def discard(path: Path | str, reason: str, *, episode: int = 0) -> None:

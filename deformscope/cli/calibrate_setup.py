@@ -3,13 +3,16 @@ and write them into its file with intervals."""
 
 import cv2
 
-from deformscope.cli.common import quiet_warp, recorder_of, say, show, write_file, write_json
-from deformscope.config import ArmConfig, CameraConfig, SetupOptions
+from deformscope.cli.common import quiet_warp, recorder_of, say, settings_of, show, write_file, write_json
+from deformscope.config import ArmConfig, CameraConfig, CertifyConfig, SetupOptions
 from deformscope.log.layout import RIG
+from deformscope.rig.rig_edit import lines_of
 from deformscope.rig.rig_file import load_rig
+from deformscope.runs import certification
 from deformscope.runs.arm_calibration import calibrate_arm, opening_of
 from deformscope.runs.calibration_tasks import TASKS
 from deformscope.runs.commissioning import commissioning_steps, next_step
+from deformscope.runs.result import open_recorder
 from deformscope.runs.rig_calibration import set_up, written_lines
 from deformscope.stages.setup.board import CharucoSpec, board_image
 
@@ -43,4 +46,17 @@ def arm(config: ArmConfig) -> None:
     opening = opening_of(config)
     found = calibrate_arm(config, opening, recorder_of(config, RIG, real_time=opening.setup.runs_itself))
     show(found.findings(config.rig))
+    write_json({"kind": found.kind, **found.found}, config.output.json)
+
+
+def certify(config: CertifyConfig) -> None:
+    """Touch a sample of known modulus, and print the rig's certificate or write it into its file."""
+    quiet_warp()
+    opening = certification.opening_of(config)
+    settings = {**settings_of(config), **opening.settings}
+    recorder = open_recorder(config.output, settings, RIG, real_time=opening.setup.runs_itself)
+    found = certification.certify(config, opening, recorder)
+    show(found.findings(config.rig))
+    if not config.save:
+        print(lines_of(found.values), flush=True)
     write_json({"kind": found.kind, **found.found}, config.output.json)

@@ -66,6 +66,7 @@ def run(config: DoctorConfig) -> None:
     findings += _found("explore", lambda: _exploring(rig, measured))
     findings += _found("place", lambda: _placing(rig))
     findings += _found("shape", lambda: _shape(rig))
+    findings += _found("certificate", lambda: _certificate(rig))
     findings += _found("disk", lambda: _disk(rig))
     findings += _found("real time", lambda: _real_time(rig))
     for entry in rig.devices:
@@ -169,6 +170,15 @@ def _shape(rig: Rig) -> list[Finding]:
     triangles = sum(len(part.solid.triangles) for part in known.parts)
     told = f"{known.removal}: {len(known.parts)} solids of {triangles} triangles, {len(known.cables)} cables"
     return [Finding("shape", "ok", told)]
+
+
+def _certificate(rig: Rig) -> list[Finding]:
+    """Whether the rig's certificate is young and of this tip, where there is one."""
+    if (found := rig.certificate) is None:
+        return []
+    old, other = found.days > found.oldest_days, found.tip != rig.tip_text
+    doubt = "; old" * old + f"; made with another tip, a {found.tip}" * other + "; certify again" * (old or other)
+    return [Finding("certificate", "look" if doubt else "ok", f"{found}{doubt}")]
 
 
 def _disk(rig: Rig) -> list[Finding]:

@@ -177,7 +177,7 @@ def compare(config: CompareConfig) -> None:
     """Print the differences of two recordings."""
     from deformscope.runs.catalog import compare_recordings
 
-    found = compare_recordings(config.first, config.second)
+    found = compare_recordings(config.first, config.second, corrected=config.corrected)
     common.show(found)
     if found.unaligned:
         common.say(f"not aligned by contact: {found.unaligned}")

@@ -29,6 +29,7 @@ from deformscope.config.options import CommandOptions, OutputOptions, RecordedOp
 from deformscope.config.rigs import (
     ArmConfig,
     BenchConfig,
+    CertifyConfig,
     CompletionConfig,
     DemoConfig,
     DevicesConfig,

@@ -105,5 +105,7 @@ class CompareConfig(CommandOptions):
     """A recording (.rrd)."""
     second: flags.RecordingFlag
     """The other recording."""
+    corrected: bool = False
+    """Take the certified bias of each rig out of its moduli and stiffnesses (`deformscope certify`)."""
     json: flags.JsonFlag = None
     """Write the differences as JSON; with -, stdout is the JSON alone."""

@@ -138,6 +138,9 @@ class ExploreConfig(ExploreFlags, RecordedOptions):
     removal: Literal["capsules", "hull", "mesh"] | None = None
     """With --robot gripper: method that removes the robot from the images, default mesh. The rig file's key is
     [shape]."""
+    corrected: bool = False
+    """Take out what [certificate] of the rig file says of force gain, depth, tip, compliance and clock
+    (`deformscope certify`)."""
     picture: flags.PictureFlag = None
     """Draw the maps to a PNG."""
     map: flags.ArraysFlag = None

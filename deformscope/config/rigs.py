@@ -318,6 +318,36 @@ class ArmConfig(RecordedOptions):
 
 
 @dataclass(frozen=True, slots=True)
+class CertifyConfig(RecordedOptions):
+    """Find a rig's bias on a sample of known modulus, and its cause: force gain, depth, tip, compliance or clock. The
+    sample is the surface of the rig file; the arm touches it at places and depths that the command chooses, after a
+    table of checks and a question."""
+
+    rig: flags.SceneFlag
+    """A rig file (.toml), or a simulated block with hidden errors of the rig (lab:block-162)."""
+    sample: str
+    """A silicone by name (ecoflex-00-30; an unknown name lists them), or the JSON of `deformscope indent`."""
+    touches: flags.ManyFlag = 6
+    """Number of touches, each at another place."""
+    thickness_m: flags.PositiveFlag = None
+    """Thickness of the sample [m]; default: as in the JSON, else as in the rig file."""
+    sliding: bool = False
+    """The sample slides on its ground; default: as in the JSON, else it is fixed."""
+    save: bool = False
+    """Write [certificate] into the rig file; default: print it."""
+    yes: bool = False
+    """Let a real arm move without asking, once the checks have passed."""
+    trust_rig: flags.TrustFlag = False
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+    def check(self) -> None:
+        if self.save and self.rig.startswith("lab:"):
+            raise InputError(
+                "a rig file, to --save into", self.rig, "deformscope doctor --example --doubles > rig.toml"
+            )
+
+
+@dataclass(frozen=True, slots=True)
 class CompletionConfig(CommandOptions):
     """Print what makes a shell complete commands, flags, their values, samples and scenes. For bash and zsh, add
     `eval "$(deformscope completion bash)"` to ~/.bashrc or ~/.zshrc; for fish, write it to

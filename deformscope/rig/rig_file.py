@@ -5,6 +5,7 @@ names a simulated rig that came with the installation."""
 
 import dataclasses
 import difflib
+import math
 import os
 import stat
 import sys
@@ -254,6 +255,7 @@ SECTIONS: dict[str, Any] = {
     "squeeze": sections.SqueezeSection,
     "record": Record,
     "calibrated": CalibratedSection,
+    "certificate": sections.CertificateSection,
 }
 """Sections of a rig file besides its devices."""
 
@@ -279,7 +281,37 @@ class Rig:
     squeeze: sections.SqueezeSection = field(default_factory=sections.SqueezeSection)
     record: Record = field(default_factory=Record)
     calibrated: CalibratedSection = field(default_factory=CalibratedSection)
+    certificate: sections.CertificateSection | None = None
     folder: Path = Path()
+
+    @property
+    def tip_text(self) -> str:
+        """The tip, as a certificate states it."""
+        return f"{self.tool.tip} of {2e3 * self.tool.radius_m:.4g} mm"
+
+    def corrected(self) -> "Rig":
+        """The rig without what its certificate found. Raises InputError without one, and for one of another tip.
+
+        A scale of depth is taken out of the force: under a ball on a thick sample F grows with depth^1.5. Gain, scale
+        and tip are known together better than each: the gain has the deviation of the whole bias."""
+        found, tool, hint = self.certificate, self.tool, "deformscope certify RIG --sample NAME --save"
+        if found is None or tool.compliance_m_per_n is None:
+            raise InputError("[certificate], and [tool] compliance_m_per_n", "none", hint, self.name)
+        if found.tip != self.tip_text:
+            raise InputError(f"a certificate of this tip, a {self.tip_text}", f"of a {found.tip}", hint, self.name)
+        named = ("force gain", "depth scale", "tip radius", "compliance", "clock")
+        gain, scale, tip, give, clock = (found.causes.get(name, (0.0, 0.0)) for name in named)
+        tool = dataclasses.replace(
+            tool,
+            radius_m=tool.radius_m * math.exp(tip[0]),
+            force_gain=tool.force_gain * math.exp(gain[0] - 1.5 * scale[0]),
+            force_gain_sd=min(math.log((1.0 + found.interval[1]) / (1.0 + found.interval[0])) / 3.29, 0.2),
+            compliance_m_per_n=max(tool.compliance_m_per_n + give[0], 0.0),
+            compliance_sd=give[1],
+        )
+        late = {"wrench" if clock[0] > 0.0 else "arm": round(1e9 * abs(clock[0]))}
+        devices = [dataclasses.replace(one, late_ns=one.late_ns + late.get(one.driver.kind, 0)) for one in self.devices]
+        return dataclasses.replace(self, tool=tool, devices=tuple(devices))
 
 
 def load_rig(where: str | Path, *, trusted: bool = False) -> Rig:

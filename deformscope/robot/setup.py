@@ -76,6 +76,7 @@ class Setup:
     zeroed: the force sensor's zero is taken as the devices open
     true_force_n: the largest true contact force so far [N], None if only the sensor measures it
     person: places the arm; None = an arm with motors; described: shape of the robot
+    certificate: the rig's bias, by its certificate, as text; empty = none
     press: has a simulated finger press the tip with (3,) [N, surface frame]; None = a person does"""
 
     size_m: tuple[float, float]
@@ -97,6 +98,7 @@ class Setup:
     clock: Clock = monotonic_ns
     wait_until: Waits = sleep_until
     described: RobotDescription = AS_CAPSULES
+    certificate: str = ""
     press: Callable[[FloatArray], None] | None = None
 
     @property
@@ -295,6 +297,7 @@ def rig_setup(
         },
         described=parts.described,
         ages=rig.calibrated.ages(),
+        certificate="" if rig.certificate is None else str(rig.certificate),
         simulated=simulated,
         truth=None if table is None else table.truth,
         runs_itself=table is None or table.runs_itself,

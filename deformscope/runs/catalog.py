@@ -2,6 +2,7 @@
 
 import math
 import os
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -30,6 +31,7 @@ from deformscope.version import __version__
 
 if TYPE_CHECKING:
     from deformscope.recording.reader import Replay
+    from deformscope.rig.sections import CertificateSection
 
 INDEX, PAGE, PICTURES = "catalog.parquet", "catalog.html", ".catalog"
 UNREAD = "unread"
@@ -229,9 +231,9 @@ def _draw(of: tuple[str, str]) -> None:
 class ComparedRecordings(LibraryResult):
     """How the second differs from the first.
 
-    settings: settings that differ, by name; results: (name, first, second, difference) as in JSON, values with
-    intervals; series: series of the devices' measurements since the first contact; unaligned: why there are no series,
-    empty = there are
+    certificates: each rig's bias on a known sample, empty = none; settings: settings that differ, by name; results:
+    (name, first, second, difference) as in JSON, values with intervals; series: series of the devices' measurements
+    since the first contact; unaligned: why there are no series, empty = there are
     """
 
     first: Path
@@ -240,6 +242,7 @@ class ComparedRecordings(LibraryResult):
     results: Sequence[Json]
     series: Sequence[Json]
     unaligned: str
+    certificates: Sequence[str] = ()
 
     def tables(self) -> tuple[Table, ...]:
         names = ("", self.first.stem, self.second.stem)
@@ -253,24 +256,36 @@ class ComparedRecordings(LibraryResult):
             (one["name"], f"{one['rms']:.4g}", f"{one['largest']:.4g}", f"{one['from_s']:.2f} to {one['to_s']:.2f}")
             for one in self.series
         ]
-        tables = [Table(settings, names, "Settings that differ"), Table(results, (*names, "difference"), "Results")]
+        certified = [("certificate", *self.certificates)] if any(self.certificates) else []
+        tables = [
+            Table(certified, names, "Rigs"),
+            Table(settings, names, "Settings that differ"),
+            Table(results, (*names, "difference"), "Results"),
+        ]
         tables.append(Table(series, columns, "Measurements of devices, aligned by contact"))
         return tuple(one for one in tables if one.rows)
 
     def as_json(self) -> Json:
         settings = {name: {"first": a, "second": b} for name, (a, b) in self.settings.items()}
         found = {"first": self.first, "second": self.second, "settings": settings, "results": self.results}
+        found |= {"certificates": self.certificates} if any(self.certificates) else {}
         return found | {"series": self.series, "unaligned": self.unaligned}
 
 
-def compare_recordings(first: Path, second: Path) -> ComparedRecordings:
-    """Raises InputError if a file is damaged, or no recording of deformscope."""
+def compare_recordings(first: Path, second: Path, *, corrected: bool = False) -> ComparedRecordings:
+    """corrected: take each rig's certified bias out of its moduli and stiffnesses. Raises InputError if a file is
+    damaged, or no recording of deformscope, and for a bias to take out where neither rig has one."""
     from deformscope.recording.reader import Replay
     from deformscope.recording.summary import SETTINGS, summarise
 
     replays = [Replay(path) for path in (first, second)]
     rows = [plain(summarise(path) | _touches(path)) for path in (first, second)]
     a, b = (row for row in rows if isinstance(row, dict))
+    certificates = ["" if (one := _certificate(replay)) is None else str(one) for replay in replays]
+    if corrected and not any(certificates):
+        raise InputError("a recording of a certified rig, for --corrected", "none", "deformscope certify RIG --save")
+    if corrected:
+        a, b = (_without_bias(row, replay) for row, replay in zip((a, b), replays, strict=True))
     names = list(dict.fromkeys([*a, *b]))
     settings = {
         name.removeprefix(SETTINGS): (a.get(name), b.get(name))
@@ -285,9 +300,34 @@ def compare_recordings(first: Path, second: Path) -> ComparedRecordings:
         if not (name.startswith(SETTINGS) or ends or name in NOT_RESULTS):
             results.append(_difference(name, a, b))
     series, unaligned = _series(*replays)
-    return ComparedRecordings(
-        first=first, second=second, settings=settings, results=results, series=series, unaligned=unaligned
-    )
+    return ComparedRecordings(first, second, settings, results, series, unaligned, certificates)
+
+
+def _certificate(replay: "Replay") -> "CertificateSection | None":
+    """The certificate of the recorded rig, if it had one."""
+    from deformscope.rig.sections import CertificateSection
+
+    given = tomllib.loads(replay.settings.get("rig", "")).get("certificate")
+    return None if given is None else CertificateSection(**given)
+
+
+BIASED = {"Pa": 1.0, "N/mm": 2.0 / 3.0}
+"""Exponent with which the bias of a modulus enters a result: stiffness at a set force under a ball by Hertz."""
+
+
+def _without_bias(row: Json, replay: "Replay") -> Json:
+    """A summary without the rig's bias, whose interval widens that of each result. As it is without a certificate, and
+    if the exploration took the bias out itself."""
+    found = _certificate(replay)
+    if found is None or replay.settings.get("corrected"):
+        return row
+    made: dict[str, Any] = dict(row)
+    for name, value in row.items():
+        power = BIASED.get(unit_of(name, DECLARED))
+        bias = found.interval[1] if name.endswith(LOW) else found.interval[0] if name.endswith(HIGH) else found.bias
+        if power is not None and isinstance(value, float):
+            made[name] = value * (1.0 + bias) ** -power
+    return made
 
 
 NOT_RESULTS = {

@@ -77,7 +77,7 @@ class ExplorationResult(LibraryResult):
     supervisor_gaps_ms: times between two checks of the supervisor, None if the arm could never move; arm_stands:
     whether it could be stopped; losses: losses of each device that lost something; fault: why it was stopped
     simulated: the scene; laboratory: its settings; recorded: the touches are those of a recording, and no robot was
-    commanded
+    commanded; certificate: the rig's bias on a known sample, and whether it is taken out; None = not certified
     """
 
     scenario: str = field(metadata=reported())
@@ -158,6 +158,7 @@ class ExplorationResult(LibraryResult):
     estimate: MapEstimate | None = None
     simulated: bool = True
     recorded: bool = False
+    certificate: str | None = field(default=None, metadata=reported("certificate", optional=True))
 
     @property
     def found(self) -> Json:
@@ -267,6 +268,8 @@ class ExplorationResult(LibraryResult):
             rows.append(("safety checks", words + "; a stop may be that late: close other programs" * late))
         robot_s, wall_s = self.seconds["session"], self.seconds["wall"]
         rows.append(("time", f"{robot_s:.0f} s by the robot's clock, {wall_s:.0f} s on this computer"))
+        if self.certificate is not None:
+            rows.append(("certificate", self.certificate))
         if self.losses:
             rows.append(("lost", named(self.losses)))
         if self.recording is not None:

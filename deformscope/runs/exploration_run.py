@@ -106,6 +106,7 @@ def explore_on(
         removal=config.removal,
         tangential=config.tangential,
         scene=None if scene is None else scene_of(scene, options.seed),
+        corrected=config.corrected,
     )
     setup, options = opening.setup, opening.options
     _check_first(config, setup)
@@ -400,6 +401,7 @@ def _result(
         laboratory=laboratory,
         estimate=maps,
         simulated=setup.simulated,
+        certificate=(setup.certificate + ", which is taken out" * config.corrected) or None,
     )
 
 

@@ -25,7 +25,7 @@ from deformscope.pictures.report import Figure, Section, Table, html_report
 from deformscope.plain import Json, plain
 from deformscope.recording.items import read_items, read_results
 from deformscope.results.declared import quantities
-from deformscope.results.render import Rows, to_rows
+from deformscope.results.render import ReportedResult, Rows, to_rows
 from deformscope.runs.calibration_report import provenance_sections, settings_section
 from deformscope.runs.force_log import UNITS, unit_of
 from deformscope.runs.result import SourceResult, open_recorder
@@ -108,7 +108,7 @@ class IndentResult(SourceResult):
         return html_report("Young's modulus by indentation", sections)
 
 
-def shown_rows(found: IndentEstimate | IndentSummary, without: Container[str] = UNSHOWN) -> Rows:
+def shown_rows(found: ReportedResult, without: Container[str] = UNSHOWN) -> Rows:
     """All quantities with a name, as rows."""
     return to_rows(found, *(one.name for one in quantities(type(found)) if one.label and one.name not in without))
 
