@@ -21,7 +21,7 @@ from deformscope.stages.poke.indentation import (
     IndentCurve,
     IndentEstimate,
     IndentSample,
-    Poke,
+    SplitCurve,
     combine,
     fit_indentation,
 )
@@ -93,7 +93,7 @@ def _means(curves: Sequence[IndentCurve], sample: IndentSample) -> FloatArray:
     1 on the way back."""
     rows = []
     for number, curve in enumerate(curves):
-        poke = Poke(curve, sample)
+        poke = SplitCurve(curve, sample)
         if poke.time_s is None:
             raise InputError("touches with times", "none", where=curve.name)
         upto = poke.within_law()[0]

@@ -195,7 +195,7 @@ def shares_text(shares: Sequence[ModulusShare]) -> str:
     return ", ".join(f"{one.cause} {one.sd:.1%}" for one in ordered)
 
 
-class Poke:
+class SplitCurve:
     """A curve with its parts: air and loading up to sample `loaded`, a hold up to `held`, the unloading up to
     `released`, then air. force_n: (n,) zero and drift taken off; depth_m: (n,) the machine's give taken off"""
 
@@ -436,7 +436,7 @@ class Poke:
 def fit_indentation(curve: IndentCurve, sample: IndentSample) -> IndentEstimate:
     """The modulus of a sample by one poke. Raises InputError for a curve that does not touch, of a wrong sign or unit,
     and for a tip that the sample has no room for."""
-    poke = Poke(curve, sample)
+    poke = SplitCurve(curve, sample)
     _check_depth(sample, poke.travel_m, curve.name)
     upto, exponent_sd, reasons = poke.within_law()
     reasons += poke.reasons()
