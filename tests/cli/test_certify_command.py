@@ -162,7 +162,7 @@ def test_what_cannot_be_used_is_refused_in_one_line(
     ],
 )
 def test_a_certificate_that_is_none_is_refused(line: str, says: str, rig: Path, capsys: Capture) -> None:
-    wrong = {"date": "date = 3", "interval": "interval = [0.3, 0.331]", "sample": "sampel = 1"}[line.split(" =")[0]]
+    wrong = {"date": "date = 3", "interval": "interval = [0.3, 0.331]", "sample": "samples = 1"}[line.split(" =")[0]]
     rig.write_text(BLOCK + CERTIFICATE.replace(line, wrong))
     assert main(["doctor", str(rig)]) == 2
     assert says.split(" ")[0] in one_line(capsys)
