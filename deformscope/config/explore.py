@@ -139,7 +139,7 @@ class ExploreConfig(ExploreFlags, RecordedOptions):
     """With --robot gripper: method that removes the robot from the images, default mesh. The rig file's key is
     [shape]."""
     corrected: bool = False
-    """Take out what [certificate] of the rig file says of force gain, depth, tip, compliance and clock
+    """Take out what [certificate] of the rig file states about force gain, depth, tip, compliance and clock
     (`deformscope certify`)."""
     picture: flags.PictureFlag = None
     """Draw the maps to a PNG."""

@@ -50,7 +50,7 @@ class LabErrors:
 
     @classmethod
     def uncertified(cls) -> "LabErrors":
-        """Those of a rig that nobody has certified: a wrong tip, an old sensor, a loose stick; on silicone."""
+        """Those of an uncertified rig: a wrong tip, an old sensor, a loose stick; on silicone."""
         return cls(arm=0.5, gain=0.12, drift=0.0, scatter=(0.003, 0.01), thickness=0.01, tip=0.1)
 
     @classmethod

@@ -75,8 +75,8 @@ class RigBias(ReportedResult):
     @property
     def off_text(self) -> str:
         """Which causes are off."""
-        apart = ", which this sample does not tell apart" if len(self.off) > 1 else ""
-        return " or ".join(self.off) + apart if self.off else "no cause stands out from its tolerance"
+        apart = ", which this sample does not distinguish" if len(self.off) > 1 else ""
+        return " or ".join(self.off) + apart if self.off else "no cause is beyond its tolerance"
 
     @property
     def causes_text(self) -> str:
@@ -187,7 +187,7 @@ class _Rig:
 
 def certify_rig(curves: Sequence[IndentCurve], known: KnownSample, tolerance: Sequence[float] = TOLERANCE) -> RigBias:
     """The bias of a rig and its causes by touches of a sample of known modulus. tolerance: deviations (5,) of causes
-    that are not off. Raises InputError for curves that are none of touches, as `fit_indentation` does."""
+    that are not off. Raises the errors of `fit_indentation`."""
     estimates = [fit_indentation(one, known.lies) for one in curves]
     read = combine(estimates)
     rig = _Rig(_means(curves, known.lies), known, tolerance, read.scatter)

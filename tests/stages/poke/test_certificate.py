@@ -150,7 +150,7 @@ def test_gain_and_the_sample_s_modulus_are_confounded_up_to_its_deviation() -> N
     assert np.ptp(wide.bias_interval) > 1.5 * np.ptp(narrow.bias_interval)
     assert wide.off == ()
     assert narrow.off
-    assert "does not tell apart" in narrow.off_text
+    assert "does not distinguish" in narrow.off_text
 
 
 def test_a_smaller_tip_is_among_the_causes() -> None:
