@@ -87,7 +87,8 @@ class ForceSensor(Protocol):
     """Force sensor (kind `wrench`): a device of `ForceReading`. Its configuration has `rate_hz`."""
 
     def zero(self) -> object:
-        """Take the present load for zero. Raises SettingsRefused where the readings are not at rest."""
+        """Take the present load for zero, 50 readings later at the latest. Raises SettingsRefused where the load
+        varies."""
 
 
 class PadReading(Protocol):
