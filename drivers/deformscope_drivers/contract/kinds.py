@@ -19,7 +19,7 @@ LOAD = (2.0, -3.0, 8.0, 0.02, -0.03, 0.04)
 """Load of a force sensor in the test, after it was zeroed [N, N m]."""
 TIMES_READ = 40
 ZEROED_WITHIN = 50
-"""Readings after `zero`, from which on they are zeroed."""
+"""Readings after `zero` that may come before it takes effect."""
 
 
 class KindContract(Contract):
