@@ -72,7 +72,7 @@ def find_offset(
     if not np.isfinite(errors).any():
         return ForceOffset(float(offsets[0]), (float(offsets[0]),) * 2, 0.0, log.at(time_s + offsets[0]), 0.0)
     lag, at = np.unravel_index(int(np.nanargmin(errors)), errors.shape)
-    left = _left(float(offsets[at]), time_s, columns[lag], log)
+    _, left, _ = _at(float(offsets[at]), time_s, columns[lag], log)
     worth = 0.5 * len(left) * (1.0 - _correlation(left)) / (1.0 + _correlation(left))
     reading = log.zero_sd_n**2 + np.diff(np.unique(log.force_n)).min(initial=np.inf) ** 2 / 12.0
     noise = reading + (2e-4 * float(np.ptp(log.force_n))) ** 2
@@ -82,14 +82,13 @@ def find_offset(
     order = np.argsort(forces[chance > 1e-4])
     weights, ends = chance[chance > 1e-4][order], forces[chance > 1e-4][order]
     ends = np.interp([0.16, 0.84], np.cumsum(weights) / weights.sum(), ends)
-    spread, force_n = 0.5 * float(ends[1] - ends[0]), _force(float(offsets[at]), time_s, columns[lag], log)
-    best = float(offsets[at])
+    spread, best = 0.5 * float(ends[1] - ends[0]), float(offsets[at])
+    measured, _, force_n = _at(best, time_s, columns[lag], log)
     if given is not None:
         return ForceOffset(given, (given, given), float(LAGS_S[lag]), force_n, spread)
     density = chance.sum(axis=0)
     low, high = Posterior(offsets, density / np.trapezoid(density, offsets)).shortest(level, best)
     rising = time_s[(depth > 0.1 * depth.max()) & (depth < 0.9 * depth.max())]
-    measured = log.at(time_s[log.has(time_s + best)] + best)
     share = 1.0 - float(errors[lag, at]) / max(float(np.var(measured)), 1e-300)
     if share < SHARED or high - low > max(float(np.ptp(rising)) if len(rising) else 0.0, 2.0 * step):
         came = f"not determined: {low:.3g} to {high:.3g} s, of which {max(share, 0.0):.0%} of the force is explained"
@@ -127,26 +126,24 @@ def _lagged(time_s: FloatArray, depth: FloatArray, lag_s: float) -> FloatArray:
     return np.column_stack([shown, np.ones(len(share)), powers])
 
 
-def _left(offset: float, time_s: FloatArray, columns: FloatArray, log: _SmoothForce) -> FloatArray:
-    """(n,) errors of the best polynomial at the frames that the log has."""
-    inside = log.has(time_s + offset)
-    measured, some = log.at(time_s[inside] + offset), columns[inside, : DEGREE + 1]
-    return measured - some @ np.linalg.lstsq(some, measured, rcond=None)[0]
-
-
-def _force(offset: float, time_s: FloatArray, columns: FloatArray, log: _SmoothForce) -> FloatArray:
-    """(T,) the log at each frame, less its zero, and with what its display has not shown yet."""
+def _at(
+    offset: float, time_s: FloatArray, columns: FloatArray, log: _SmoothForce
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(n,) the log at the frames that it has, and errors of the best polynomial there; and (T,) the log at each frame,
+    less its zero, and with what its display has not shown yet."""
     inside = log.has(time_s + offset)
     shown, powers = columns[:, : DEGREE + 1], columns[:, DEGREE + 1 :]
-    found = np.linalg.lstsq(shown[inside], log.at(time_s[inside] + offset), rcond=None)[0]
-    return np.asarray(log.at(time_s + offset) - found[-1] + (powers - shown[:, :DEGREE]) @ found[:-1])
+    measured = log.at(time_s[inside] + offset)
+    found = np.linalg.lstsq(shown[inside], measured, rcond=None)[0]
+    force = log.at(time_s + offset) - found[-1] + (powers - shown[:, :DEGREE]) @ found[:-1]
+    return measured, measured - shown[inside] @ found, np.asarray(force)
 
 
 def _errors(
     offsets: FloatArray, time_s: FloatArray, columns: FloatArray, log: PressForce, least: float = 1.0
 ) -> FloatArray:
     """(2, n) mean squared error at each offset [N^2], NaN where log and video do not share the rise, and the force at
-    the last frame of `_force` [N]. least: 0 = they may share any part"""
+    the last frame of `_at` [N]. least: 0 = they may share any part"""
     first = np.searchsorted(time_s, log.time_s[0] - offsets - 1e-9)
     last = np.searchsorted(time_s, log.time_s[-1] - offsets + 1e-9, side="right")
     errors, forces = np.full((2, len(offsets)), np.nan)
