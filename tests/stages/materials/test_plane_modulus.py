@@ -12,6 +12,7 @@ from deformscope.stages.fit.estimate import RATIO_KNOWN, Plane
 from deformscope.stages.fit.model import Observation
 from deformscope.stages.materials.plane_modulus import PlaneModulus, plane_modulus
 from studies.independent.plane_elements import deform, stiffness
+from studies.rendered_video import camera_path, case, followed, pressed, px_per_m
 
 ROWS, COLUMNS, STEP = 6, 9, 12.0
 METRES, THICKNESS = 5e-4, 0.04
@@ -83,6 +84,35 @@ def test_poissons_ratio_of_a_bonded_block_is_that_of_other_elements(nu: float, s
     one = found(observed(move, 1.0, noise), "strain" if strain else "stress")
     assert one.poisson[0] == pytest.approx(nu, abs=0.05)
     assert one.poisson[1][0] <= nu <= one.poisson[1][1]
+
+
+def test_the_interval_of_a_ratio_has_the_perspective_of_a_hand_held_camera() -> None:
+    held = 0
+    for seed in (1009, 1011, 1012, 1014, 1015, 1017):  # tools and plates, 3 degrees off, at large strain
+        made = case(seed, width_px=1280, height_px=720)
+        width, height, thickness = made.size_m
+        motions, force = pressed(made, np.array([0.0, made.push * height]))
+        cameras = camera_path(made)[[0, -1]]
+        x, y = np.meshgrid((np.arange(12) + 0.5) / 12 - 0.5, 1.0 - (np.arange(6) + 0.5) / 6)
+        place = np.column_stack([x.ravel() * width, y.ravel() * height, np.ones(72)]) @ cameras[0].T
+        rest = np.column_stack([axis.ravel() for axis in np.meshgrid(*_lines(place[:, :2] / place[:, 2:]))])
+        deformed = followed(rest, cameras, motions)[-1] + 0.05 * np.random.default_rng(seed).standard_normal((72, 2))
+        top = np.flatnonzero(np.abs(x[0] * width - made.tool_at_m) < 0.5 * made.tool_m)
+        seen = Observation(
+            rest, deformed, np.concatenate([top, np.arange(60, 72)]), np.ones(72, dtype=bool), noise=np.full(72, 0.05),
+            shape=(6, 12), cell=np.arange(72), unit="px", metres_per_unit=1.0 / px_per_m(made),
+            force_n=float(force[-1]), force_noise_n=0.01 * float(force[-1]), contact=top,
+        )  # fmt: skip
+        low, high = plane_modulus(seen, thickness, 0.0, "stress", 0.9, 0).poisson[1]
+        held += low <= made.poisson <= high
+        assert high - low < 0.1
+    assert held >= 5
+
+
+def _lines(place: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Columns and rows of a lattice that is nearest to places (72, 2) [px]."""
+    grid = place.reshape(6, 12, 2)
+    return grid[:, :, 0].mean(axis=0), grid[:, :, 1].mean(axis=1)
 
 
 def test_a_ratio_that_noise_hides_is_not_known_and_widens_the_modulus() -> None:
