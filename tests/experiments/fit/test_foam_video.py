@@ -104,8 +104,9 @@ def test_known_beta_is_found_through_images(pushed: tuple[list[FloatArray], Part
     images, particles, beta = pushed
     found, recorder = follow(images, particles, FitOptions(Model(), seed=1))
     estimate = found.estimate
-    # the flow flattens a dent two particles (44 px) wide a little, which the interval does not know of
-    assert estimate.value == pytest.approx(beta, abs=0.025)
+    # the flow flattens a dent two particles (44 px) wide a little, which the interval does not know of; a mean of
+    # distances, as a median, hardly follows that
+    assert estimate.least_aee[0] == pytest.approx(beta, abs=0.025)
     assert estimate.interval[0] - 0.02 <= beta <= estimate.interval[1] + 0.02
     assert estimate.unit == "px"
     assert estimate.aee < 0.1
