@@ -79,9 +79,7 @@ COMMANDS: dict[str, Command] = {
     "calibrate arm": _command(
         "measure the arm's compliance, on something rigid", "ArmConfig", "calibrate_setup", "arm"
     ),
-    "certify": _command(
-        "find a rig's bias on a sample of known modulus", "CertifyConfig", "calibrate_setup", "certify"
-    ),
+    "certify": _command("find a rig's bias on a sample of known modulus", "CertifyConfig", "calibrate_setup", "arm"),
     "arm where": _command("the arm's pose: joints, end and tip", "WhereConfig", "arm", "where"),
     "arm files": _command("write the files for a KUKA's controller", "FilesConfig", "arm", "files"),
     "arm home": _command("send the arm to its home pose", "HomeConfig", "arm", "home"),

@@ -8,8 +8,7 @@ from deformscope.config import ArmConfig, CameraConfig, CertifyConfig, SetupOpti
 from deformscope.log.layout import RIG
 from deformscope.rig.rig_edit import lines_of
 from deformscope.rig.rig_file import load_rig
-from deformscope.runs import certification
-from deformscope.runs.arm_calibration import calibrate_arm, opening_of
+from deformscope.runs.arm_calibration import calibrate_arm, certify, opening_of
 from deformscope.runs.calibration_tasks import TASKS
 from deformscope.runs.commissioning import commissioning_steps, next_step
 from deformscope.runs.result import open_recorder
@@ -40,23 +39,18 @@ def run(config: SetupOptions) -> None:
     write_json({"kind": found.kind, **found.found}, config.output.json)
 
 
-def arm(config: ArmConfig) -> None:
-    """Touch a rigid block some times, and write the compliance into the rig file."""
+def arm(config: ArmConfig | CertifyConfig) -> None:
+    """Touch a rigid block, or a sample of known modulus; print the result, and write it into the rig file."""
     quiet_warp()
-    opening = opening_of(config)
-    found = calibrate_arm(config, opening, recorder_of(config, RIG, real_time=opening.setup.runs_itself))
-    show(found.findings(config.rig))
-    write_json({"kind": found.kind, **found.found}, config.output.json)
-
-
-def certify(config: CertifyConfig) -> None:
-    """Touch a sample of known modulus, and print the rig's certificate or write it into its file."""
-    quiet_warp()
-    opening = certification.opening_of(config)
-    settings = {**settings_of(config), **opening.settings}
+    opening, settings = opening_of(config), settings_of(config)
+    settings |= opening.settings if isinstance(config, CertifyConfig) else {}
     recorder = open_recorder(config.output, settings, RIG, real_time=opening.setup.runs_itself)
-    found = certification.certify(config, opening, recorder)
+    if isinstance(config, ArmConfig):
+        found, lines = calibrate_arm(config, opening, recorder), ""
+    else:
+        found = certify(config, opening, recorder)
+        lines = "" if config.save else lines_of(found.values)
     show(found.findings(config.rig))
-    if not config.save:
-        print(lines_of(found.values), flush=True)
+    if lines:
+        print(lines, flush=True)
     write_json({"kind": found.kind, **found.found}, config.output.json)

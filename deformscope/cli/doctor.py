@@ -173,12 +173,13 @@ def _shape(rig: Rig) -> list[Finding]:
 
 
 def _certificate(rig: Rig) -> list[Finding]:
-    """Whether the rig's certificate is young and of this tip, where there is one."""
+    """Whether the rig's certificate is young and of this tip."""
     if (found := rig.certificate) is None:
         return []
-    old, other = found.days > found.oldest_days, found.tip != rig.tip_text
-    doubt = "; old" * old + f"; made with another tip, a {found.tip}" * other + "; certify again" * (old or other)
-    return [Finding("certificate", "look" if doubt else "ok", f"{found}{doubt}")]
+    doubt = "; old" * (found.days > found.oldest_days) + f"; of another tip, a {found.tip}" * (
+        found.tip != rig.tip_text
+    )
+    return [Finding("certificate", "look" if doubt else "ok", f"{found}{doubt}{'; certify again' * bool(doubt)}")]
 
 
 def _disk(rig: Rig) -> list[Finding]:

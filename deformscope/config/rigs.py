@@ -319,9 +319,8 @@ class ArmConfig(RecordedOptions):
 
 @dataclass(frozen=True, slots=True)
 class CertifyConfig(RecordedOptions):
-    """Find a rig's bias on a sample of known modulus, and its cause: force gain, depth, tip, compliance or clock. The
-    sample is the surface of the rig file; the arm touches it at places and depths that the command chooses, after a
-    table of checks and a question."""
+    """Find a rig's bias on a sample of known modulus, by cause: force gain, depth, tip, compliance, clock. The sample
+    is the surface of the rig file. The arm moves, after a table of checks and a question."""
 
     rig: flags.SceneFlag
     """A rig file (.toml), or a simulated block with hidden errors of the rig (lab:block-162)."""

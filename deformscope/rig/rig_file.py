@@ -299,17 +299,17 @@ class Rig:
             raise InputError("[certificate], and [tool] compliance_m_per_n", "none", hint, self.name)
         if found.tip != self.tip_text:
             raise InputError(f"a certificate of this tip, a {self.tip_text}", f"of a {found.tip}", hint, self.name)
-        named = ("force gain", "depth scale", "tip radius", "compliance", "clock")
-        gain, scale, tip, give, clock = (found.causes.get(name, (0.0, 0.0)) for name in named)
+        value = {name: one[0] for name, one in found.causes.items()}.get
         tool = dataclasses.replace(
             tool,
-            radius_m=tool.radius_m * math.exp(tip[0]),
-            force_gain=tool.force_gain * math.exp(gain[0] - 1.5 * scale[0]),
+            radius_m=tool.radius_m * math.exp(value("tip radius", 0.0)),
+            force_gain=tool.force_gain * math.exp(value("force gain", 0.0) - 1.5 * value("depth scale", 0.0)),
             force_gain_sd=min(math.log((1.0 + found.interval[1]) / (1.0 + found.interval[0])) / 3.29, 0.2),
-            compliance_m_per_n=max(tool.compliance_m_per_n + give[0], 0.0),
-            compliance_sd=give[1],
+            compliance_m_per_n=max(tool.compliance_m_per_n + value("compliance", 0.0), 0.0),
+            compliance_sd=found.causes.get("compliance", (0.0, tool.compliance_sd))[1],
         )
-        late = {"wrench" if clock[0] > 0.0 else "arm": round(1e9 * abs(clock[0]))}
+        late_ns = round(1e9 * value("clock", 0.0))
+        late = {"wrench": max(late_ns, 0), "arm": max(-late_ns, 0)}
         devices = [dataclasses.replace(one, late_ns=one.late_ns + late.get(one.driver.kind, 0)) for one in self.devices]
         return dataclasses.replace(self, tool=tool, devices=tuple(devices))
 

@@ -278,10 +278,9 @@ class CalibratedSection:
 
 @dataclass(frozen=True, slots=True)
 class CertificateSection:
-    """What `deformscope certify` found on a sample of known modulus.
-
-    bias, interval: what the rig adds to a modulus, as a share, and its 90 % interval; causes: value and deviation of
-    each, as `stages.poke.certificate.CAUSES`; oldest_days: age at which it is old, as a camera's calibration"""
+    """What `deformscope certify` found. bias, interval: what the rig adds to a modulus, as a share, and its 90 %
+    interval; causes: value and deviation of each, as `stages.poke.certificate.CAUSES`; oldest_days: age at which it is
+    old, as a camera's calibration"""
 
     date: datetime.date
     sample: str
@@ -294,9 +293,8 @@ class CertificateSection:
     oldest_days: int = DAYS["camera"]
 
     def __post_init__(self) -> None:
-        check(isinstance(self.date, datetime.date), "date = YEAR-MONTH-DAY", self.date)
-        low, high = self.interval
-        check(-0.9 < low <= self.bias <= high < 9.0, "bias within its interval, above -0.9 and below 9", self.interval)
+        in_order = -0.9 < self.interval[0] <= self.bias <= self.interval[1] < 9.0
+        check(in_order, "bias within its interval, above -0.9 and below 9", self.interval)
 
     @property
     def days(self) -> int:
@@ -305,8 +303,8 @@ class CertificateSection:
 
     def __str__(self) -> str:
         low, high = (100.0 * one for one in self.interval)
-        ago = f"{self.days} days ago" if self.days else "today"
-        return f"this rig read {100.0 * self.bias:+.1f} % ({low:+.1f} to {high:+.1f}) on {self.sample}, {ago}"
+        read = f"this rig read {100.0 * self.bias:+.1f} % ({low:+.1f} to {high:+.1f}) on {self.sample}"
+        return f"{read}, {self.days} days ago"
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,13 +1,20 @@
-"""`deformscope calibrate arm`: touch something rigid, and write the arm's compliance into the rig file."""
+"""`deformscope calibrate arm` and `certify`: touch something known, rigid or of a known modulus, and write the arm's
+compliance, or the rig's bias by cause, into the rig file."""
 
-from collections.abc import Callable, Mapping
+import contextlib
+import json
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
+from dataclasses import replace
+from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from deformscope.arrays import FloatArray
+from deformscope.config import ArmConfig, CertifyConfig
 from deformscope.errors import InputError
 from deformscope.experiments.explore.explore import ExplorationStopped
 from deformscope.experiments.explore.options import ExploreOptions
@@ -18,34 +25,51 @@ from deformscope.experiments.rig.arm_compliance import (
     CombinedCompliance,
     ComplianceTouch,
     combine_compliance,
-    touch_rigid,
+    touch_places,
+    touched_rigid,
 )
+from deformscope.file_io import nearest, read_file
+from deformscope.lab.session_errors import LabErrors
 from deformscope.log.findings import RigFindings
 from deformscope.pictures.report import Figure
 from deformscope.pictures.setup import compliance_png
 from deformscope.plain import plain
+from deformscope.runs.indentation import curves_png, shown_rows
 from deformscope.runs.opened_devices import LAB, Opening, setup_of
-from deformscope.runs.rig_calibration import RigCalibrationResult, write_values
+from deformscope.runs.rig_calibration import RigCalibrationResult, today, write_values
 from deformscope.runs.skeleton import leave_arm, open_rig_run, permitted
 from deformscope.session import RigExperiment, Step
 from deformscope.session import run as run_session
 from deformscope.stages.map.exploration import ExplorationStop
-from deformscope.stages.poke.contact import ArmCompliance
+from deformscope.stages.map.measured import TouchMeasurement
+from deformscope.stages.poke.certificate import TOLERANCE, KnownSample, certify_rig
+from deformscope.stages.poke.contact import Z_90, ArmCompliance
+from deformscope.stages.poke.indentation import IndentCurve, IndentSample
+from deformscope.stages.poke.tip_law import Ground, Indenter
 from deformscope.terminal import say, until_interrupted
 
 if TYPE_CHECKING:
-    from deformscope.config import ArmConfig, CertifyConfig
     from deformscope.recording.recorder import Recorder
 
+POISSON = (0.48, 0.5)
+"""Range of Poisson's ratio of silicones [assumed: nearly incompressible]."""
+RING_M, EDGE_RADII, SHALLOW, LEAST_N = 0.06, 4.0, 0.6, 0.17
+"""Largest distance of touches from the sample's middle; least distance from its edge, in radii of the contact; force of
+every second touch over that of the others; least force of the others: SHALLOW of it is ten times the sensor's noise."""
 
-def opening_of(config: "ArmConfig") -> Opening:
+
+def opening_of(config: ArmConfig | CertifyConfig) -> Opening:
     """The devices, not opened, and the options of their touches. Raises the errors of `setup_of`."""
-    options = ExploreOptions(budget=config.touches, beta_model="none", seed=config.output.seed)
-    return setup_of(config.rig, options, config.set_force, trusted=config.trust_rig)
+    errors: LabErrors | None = LabErrors.uncertified()
+    force_n, hold_s = None, 0.5
+    if isinstance(config, ArmConfig):
+        force_n, hold_s, errors = config.set_force, 0.0, None
+    options = ExploreOptions(budget=config.touches, beta_model="none", seed=config.output.seed, hold_s=hold_s)
+    return setup_of(config.rig, options, force_n, trusted=config.trust_rig, errors=errors)
 
 
 def calibrate_arm(
-    config: "ArmConfig", opening: Opening, recording: "AbstractContextManager[Recorder]"
+    config: ArmConfig, opening: Opening, recording: "AbstractContextManager[Recorder]"
 ) -> RigCalibrationResult:
     """Touch a rigid block several times, and write the compliance into the rig file unless --no-write is given."""
     setup, options = opening.setup, opening.options
@@ -56,64 +80,66 @@ def calibrate_arm(
         raise InputError(f"--at on the surface: between 0,0 and {width:g},{height:g} m", came)
     made: list[ComplianceTouch] = []
 
-    def touching(geometry: FromFrames, line: Callable[[str], None]) -> RigExperiment[None]:
-        def found_one(one: ComplianceTouch) -> None:
-            made.append(one)
-            line("")
-            give = 1e3 * one.found.compliance_m_per_n
-            say(f"touch {len(made)}: {give:.3f} mm/N, pressed with {one.peak_force_n:.2f} N")
-
-        return touch_rigid(geometry, options, xy_m, config.touches, found_one)
+    def touched(measured: TouchMeasurement, height_m: float) -> str:
+        made.append(touched_rigid(measured, height_m, options))
+        give = 1e3 * made[-1].found.compliance_m_per_n
+        return f"touch {len(made)}: {give:.3f} mm/N, pressed with {made[-1].peak_force_n:.2f} N"
 
     def result() -> RigCalibrationResult:
-        return _result(combine_compliance(made), f"({100 * xy_m[0]:.0f}, {100 * xy_m[1]:.0f}) cm")
+        return _compliance(combine_compliance(made), f"({100 * xy_m[0]:.0f}, {100 * xy_m[1]:.0f}) cm")
 
     known = {name: there for name, there in setup.calibrated.items() if "compliance" not in name}
-    found = touched_result(config, opening, recording, known, xy_m[None], touching, result)
+    places_m = np.tile(xy_m, (config.touches, 1))
+    found = _touched_result(config, opening, recording, known, places_m, touched, result)
     if config.write and not config.rig.startswith(LAB):
         write_values(Path(config.rig), found.dated)
     return found
 
 
-def touched_result(
-    config: "ArmConfig | CertifyConfig",
+def _touched_result(
+    config: ArmConfig | CertifyConfig,
     opening: Opening,
     recording: "AbstractContextManager[Recorder]",
     calibrated: Mapping[str, bool],
     places_m: FloatArray,
-    touching: Callable[[FromFrames, Callable[[str], None]], RigExperiment[None]],
+    touched: Callable[[TouchMeasurement, float], str],
     result: Callable[[], RigCalibrationResult],
+    forces_n: Sequence[float] = (),
 ) -> RigCalibrationResult:
-    """Check, ask, and touch places (n, 2) [m]; the result of these touches, recorded. calibrated: as in `permitted`;
-    touching: the experiment by the
-    robot's geometry and a function that shows a line; result: called after it. Ends the command after a stop."""
+    """Check, ask, and touch places (n, 2) [m]; the recorded result. touched: called with each touch and the surface's
+    height, and gives a line to print; others as in `permitted` and `touch_places`. Ends the command after a stop."""
     setup, options = opening.setup, opening.options
     stop: ExplorationStop | None = None
     with until_interrupted() as asked, recording as recorder, open_rig_run(setup.open_source(), recorder) as opened:
         watch = opened.watch(asked)
 
-        def permitted_touching(robot: TouchingRobot) -> RigExperiment[None]:
-            yield from permitted(robot, setup, options, calibrated, asked, yes=config.yes, places_m=places_m)
-            yield from touching(FromFrames(robot.geometry, options), opened.line)
+        def shown(measured: TouchMeasurement, height_m: float) -> None:
+            line = touched(measured, height_m)
+            opened.line("")
+            say(line)
+
+        def touching(robot: TouchingRobot) -> RigExperiment[None]:
+            yield from permitted(
+                robot, setup, options, calibrated, asked, yes=config.yes, places_m=np.unique(places_m, axis=0)
+            )
+            yield from touch_places(FromFrames(robot.geometry, options), places_m, shown, forces_n)
 
         with touching_robot(setup, opened.source, options, watch) as robot, watch.halts(robot):
             try:
-                run_session(opened.source, permitted_touching(robot), recorder, robot)
+                run_session(opened.source, touching(robot), recorder, robot)
             except ExplorationStopped as error:
                 stop = error.stop
                 recorder.stopped_because(f"{stop.kind}: {stop.reason}")
-        found = None
-        if stop is None:
-            found = result()
+        found = None if stop is not None else result()
+        if found is not None:
             recorder.write(Step((RigFindings(found.findings(config.rig), tuple(opened.source.streams)),)))
     if found is None:
-        leave_arm(
-            stop, 0 if stop is None else stop.touch, asked, recorder.summary().path, arm_stopped=watch.arm_stopped
-        )
+        touches = 0 if stop is None else stop.touch
+        leave_arm(stop, touches, asked, recorder.summary().path, arm_stopped=watch.arm_stopped)
     return found
 
 
-def _result(found: CombinedCompliance, place: str) -> RigCalibrationResult:
+def _compliance(found: CombinedCompliance, place: str) -> RigCalibrationResult:
     rows = [
         ("touched at", place),
         ("compliance", f"{1e3 * found.compliance_m_per_n:.3f} mm/N +- {1e3 * found.compliance_sd:.3f}"),
@@ -130,3 +156,105 @@ def _result(found: CombinedCompliance, place: str) -> RigCalibrationResult:
     png = compliance_png([one.found for one in found.touches], ArmCompliance(**known))
     figure = Figure(png, "Compliance of the arm at each touch")
     return RigCalibrationResult("arm", {"tool": {**known}}, tuple(rows), figure, cast("dict[str, Any]", plain(found)))
+
+
+def known_sample(config: "CertifyConfig", opening: Opening) -> KnownSample:
+    """The sample of a name or a file, as it lies. Raises InputError."""
+    setup, options, path = opening.setup, opening.options, Path(config.sample)
+    if path.suffix.lower() == ".json":
+        name, modulus_pa, sd, lies = _of_file(path)
+    else:
+        table = tomllib.loads((resources.files("deformscope") / "rig" / "silicones.toml").read_text(encoding="utf-8"))
+        if (name := config.sample) not in table:
+            near = nearest(name, table) or "the JSON of deformscope indent"
+            raise InputError(f"a sample out of {', '.join(table)}, or a .json", repr(name), near)
+        lies = {"poisson": POISSON, **table[name]}
+        modulus_pa, sd = 1e3 * lies["kpa"][0], lies["kpa"][1] / lies["kpa"][0]
+    stated_m = options.thickness_m if options.thickness_stated else None
+    if (thickness_m := config.thickness_m or lies.get("thickness_m") or stated_m) is None:
+        raise InputError("the sample's thickness", "none", "--thickness-m 0.02")
+    ground: Ground = "sliding" if config.sliding or lies.get("sliding") else "bonded"
+    give, tip = setup.compliance_m_per_n, Indenter("sphere", (2.0 * setup.placement.tool.radius_m,))
+    sample = IndentSample(
+        tip,
+        thickness_m,
+        ground,
+        (float(lies["poisson"][0]), float(lies["poisson"][1])),
+        width_m=min(setup.size_m),
+        machine_n_per_mm=1e-3 / give if give > 0.0 else None,
+        machine_sd=setup.compliance_sd / give if give > 0.0 else 0.0,
+    )
+    return KnownSample(name, modulus_pa, sd, sample)
+
+
+def _of_file(path: Path) -> tuple[str, float, float, dict[str, Any]]:
+    """Name, modulus [Pa], deviation of its log, and the settings of the result of `indent`."""
+    expected = "the JSON of deformscope indent, with a modulus in its interval"
+    with contextlib.suppress(ValueError, KeyError, TypeError, IndexError):
+        given = json.loads(read_file(path, expected))
+        found = given["together"] or given["curves"][0]
+        modulus_pa, (low, high) = found["modulus_pa"], found["modulus_interval_pa"]
+        if 0.0 < low <= modulus_pa <= high < 1e12 and len(given["settings"]["poisson"]) == 2:
+            sd = float(np.log(high / low)) / 2.0 / Z_90
+            return f"{path.name}, {modulus_pa / 1e3:.4g} kPa", modulus_pa, sd, given["settings"]
+    raise InputError(expected, "another file", "deformscope indent ... --json FILE.json", path)
+
+
+def plan_touches(known: KnownSample, touches: int, size_m: tuple[float, float], most_n: float) -> list[FloatArray]:
+    """Places (n, 2) [m] on a ring about the middle, and forces (n,) [N]: to the end of the law of small strain, every
+    second one less deep. Raises InputError for a sample that is too small for the tip, or too soft for the sensor."""
+    sample, nu = known.lies, 0.5 * sum(known.lies.poisson)
+    around_m = EDGE_RADII * sample.tip.contact_radius_m(sample.limit_m)
+    if (ring_m := min(0.5 * min(size_m) - around_m, RING_M)) < 0.0:
+        came = f"{1e3 * min(size_m):.3g} mm"
+        raise InputError(f"a sample of {2e3 * around_m:.3g} mm or more for a {sample.tip}", came, "a smaller tip")
+    full = float(sample.law(sample.limit_m, nu).response(sample.limit_m)) * known.modulus_pa / (1.0 - nu**2)
+    if full < LEAST_N:
+        expected = f"a sample that presses back with {LEAST_N:.2g} N at {1e3 * sample.limit_m:.2g} mm"
+        raise InputError(expected, f"{full:.2g} N", "a firmer or a thicker one, or a larger tip")
+    turn = 2.0 * np.pi * np.arange(touches) / touches
+    places_m = 0.5 * np.array(size_m) + ring_m * np.column_stack([np.cos(turn), np.sin(turn)])
+    return [places_m, min(full, most_n) * np.where(np.arange(touches) % 2 == 0, 1.0, SHALLOW)]
+
+
+def certify(
+    config: CertifyConfig, opening: Opening, recording: "AbstractContextManager[Recorder]"
+) -> RigCalibrationResult:
+    """Touch a sample of known modulus, and write the rig's certificate into its file where that is asked for."""
+    setup, tool, curves = opening.setup, opening.setup.placement.tool, list[IndentCurve]()
+    known = known_sample(config, opening)
+    places_m, forces_n = plan_touches(known, config.touches, setup.size_m, setup.workspace.target_force_n)
+    opening = replace(opening, options=replace(opening.options, set_force_n=float(forces_n[0])))
+
+    def touched(made: TouchMeasurement, height_m: float) -> str:
+        name, normal = f"touch {len(curves) + 1}", made.normal / np.linalg.norm(made.normal)
+        curves.append(IndentCurve(-(made.position_m @ normal), made.force_n @ normal, made.time_s, name))
+        return f"{name} of {config.touches}: {curves[-1].force_n.max():.2f} N"
+
+    def result() -> RigCalibrationResult:
+        given = tool.force_gain_sd or TOLERANCE[0], *TOLERANCE[1:3], setup.compliance_sd or TOLERANCE[3], TOLERANCE[4]
+        found = certify_rig(curves, known, given)
+        values: dict[str, Any] = {
+            "date": today(),
+            "sample": known.name,
+            "tip": str(known.lies.tip),
+            "bias": found.bias,
+            "interval": found.bias_interval,
+            "off": found.off_text,
+            "conditions": f"{len(curves)} touches of up to {forces_n.max():.2g} N, scatter {found.scatter:.1%}",
+            "causes": {name: one[:2] for name, one in found.causes.items()},
+        }
+        rows = [*shown_rows(found, ()), *((name, str(values[name])) for name in ("sample", "tip", "conditions"))]
+        figure = Figure(curves_png(found.curves), "Force over depth of each touch, with the law")
+        # a simulated arm's compliance is in no file, and the certificate is relative to it
+        give = {"compliance_m_per_n": setup.compliance_m_per_n, "compliance_sd": setup.compliance_sd}
+        stated = tool.compliance_m_per_n is not None or config.rig.startswith(LAB)
+        sections = {"certificate": values} if stated else {"tool": give, "certificate": values}
+        found_json = {**found.as_json(), **values, "date": str(today())}
+        return RigCalibrationResult("certificate", sections, tuple(rows), figure, found_json)
+
+    given = setup.calibrated, places_m, touched, result, forces_n.tolist()
+    found = _touched_result(config, opening, recording, *given)
+    if config.save:
+        write_values(Path(config.rig), found.values)
+    return found

@@ -273,8 +273,8 @@ class ComparedRecordings(LibraryResult):
 
 
 def compare_recordings(first: Path, second: Path, *, corrected: bool = False) -> ComparedRecordings:
-    """corrected: take each rig's certified bias out of its moduli and stiffnesses. Raises InputError if a file is
-    damaged, or no recording of deformscope, and for a bias to take out where neither rig has one."""
+    """corrected: without the certified bias of each rig. Raises InputError if a file is damaged, or no recording of
+    deformscope, and for a bias to take out where neither rig has one."""
     from deformscope.recording.reader import Replay
     from deformscope.recording.summary import SETTINGS, summarise
 
@@ -311,22 +311,16 @@ def _certificate(replay: "Replay") -> "CertificateSection | None":
     return None if given is None else CertificateSection(**given)
 
 
-BIASED = {"Pa": 1.0, "N/mm": 2.0 / 3.0}
-"""Exponent with which the bias of a modulus enters a result: stiffness at a set force under a ball by Hertz."""
-
-
 def _without_bias(row: Json, replay: "Replay") -> Json:
-    """A summary without the rig's bias, whose interval widens that of each result. As it is without a certificate, and
-    if the exploration took the bias out itself."""
-    found = _certificate(replay)
-    if found is None or replay.settings.get("corrected"):
+    """A summary without the rig's bias, whose interval widens each other; as it is if an exploration took it out. A
+    stiffness at a set force under a ball has 2/3 of a modulus's bias (Hertz)."""
+    if (found := _certificate(replay)) is None or replay.settings.get("corrected"):
         return row
-    made: dict[str, Any] = dict(row)
+    made, ends = dict(row), {LOW: found.interval[1], HIGH: found.interval[0]}
     for name, value in row.items():
-        power = BIASED.get(unit_of(name, DECLARED))
-        bias = found.interval[1] if name.endswith(LOW) else found.interval[0] if name.endswith(HIGH) else found.bias
-        if power is not None and isinstance(value, float):
-            made[name] = value * (1.0 + bias) ** -power
+        power = {"Pa": 1.0, "N/mm": 2.0 / 3.0}.get(unit_of(name, DECLARED), 0.0)
+        bias = next((one for end, one in ends.items() if name.endswith(end)), found.bias)
+        made[name] = value * (1.0 + bias) ** -power if isinstance(value, float) else value
     return made
 
 

@@ -119,8 +119,8 @@ def test_what_a_certificate_found_is_taken_out_of_the_rig() -> None:
     ("change", "word", "says"),
     [
         (("", ""), "look", "old; certify again"),
-        (("date = 2026-01-02", "date = 2999-01-02"), "ok", "today"),
-        (('20 mm"', '6 mm"'), "look", "made with another tip, a sphere of 6 mm"),
+        (("date = 2026-01-02", "date = 2999-01-02"), "ok", ", 0 days ago"),
+        (('20 mm"', '6 mm"'), "look", "of another tip, a sphere of 6 mm"),
     ],
 )
 def test_doctor_says_when_a_certificate_is_old_or_of_another_tip(
@@ -170,7 +170,7 @@ def test_a_certificate_that_is_none_is_refused(line: str, says: str, rig: Path, 
 
 def test_a_sample_may_be_the_result_of_indent(tmp_path: Path, monkeypatch: Patch) -> None:
     from deformscope.config import CertifyConfig
-    from deformscope.runs.certification import known_sample, opening_of
+    from deformscope.runs.arm_calibration import known_sample, opening_of
 
     monkeypatch.chdir(tmp_path)
     time = np.arange(0, 12, 0.02)

@@ -57,9 +57,9 @@ def touch_places(
     touched: Callable[[TouchMeasurement, float], None],
     forces_n: Sequence[float] = (),
 ) -> RigExperiment[None]:
-    """The experiment that touches places (n, 2) [m] one after the other, after a look. touched: called with each touch
-    and the height at which the camera sees the surface there; forces_n: set force of each, if not that of the options.
-    Raises ExplorationStopped, and InputError if the camera sees no surface."""
+    """The experiment that touches places (n, 2) [m] after a look. touched: called with each touch and the height at
+    which the camera sees the surface there; forces_n: set force of each, if not that of the options. Raises
+    ExplorationStopped, and InputError if the camera sees no surface."""
     seen = geometry.look((yield from ask(Look())))
     world = fit_surface(seen.points_m, noise_m=seen.noise_m, within_m=((0.0, 0.0), geometry.size_m), outlier_sd=5.0)
     for number, xy_m in enumerate(places_m):
@@ -70,35 +70,20 @@ def touch_places(
         touched(geometry.touch((yield from ask(touch))), height_m)
 
 
-def touch_rigid(
-    geometry: Geometry,
-    options: ExploreOptions,
-    xy_m: FloatArray,
-    touches: int,
-    found_one: Callable[[ComplianceTouch], None],
-) -> RigExperiment[None]:
-    """The experiment that touches a place (2,) [m] of something rigid several times, as `touch_places`. found_one:
-    called with each touch."""
-
-    def touched(measured: TouchMeasurement, height_m: float) -> None:
-        made, normal = measured.approach, measured.normal
-        found = calibrate_compliance(
-            made.time_s, made.position_m, made.force_n, normal, set_force_n=options.set_force_n
+def touched_rigid(measured: TouchMeasurement, height_m: float, options: ExploreOptions) -> ComplianceTouch:
+    """A touch of something rigid, whose surface the camera sees at this height. Raises InputError for a soft thing."""
+    made, normal = measured.approach, measured.normal
+    found = calibrate_compliance(made.time_s, made.position_m, made.force_n, normal, set_force_n=options.set_force_n)
+    law = fit_approach(made.time_s, made.position_m, made.force_n, normal, set_force_n=options.set_force_n, arm=found)
+    # the contact with the surface, along the normal, taken to where the camera's height is given
+    met_m = height_m + (-law.contact_m - float(np.append(measured.xy_m, height_m) @ normal) - options.tip_radius_m)
+    if found.dome > DOME_AT_MOST:
+        raise InputError(
+            f"something rigid, which a tip dents by {1e3 * DOME_AT_MOST:g} mm at 1 N at most",
+            f"a dent of {1e3 * found.dome:.2f} mm at 1 N that stiffens as it grows, as foam's",
+            "a block of steel or stone, fixed to the surface",
         )
-        law = fit_approach(
-            made.time_s, made.position_m, made.force_n, normal, set_force_n=options.set_force_n, arm=found
-        )
-        # the contact with the surface, along the normal, taken to where the camera's height is given
-        met_m = height_m + (-law.contact_m - float(np.append(xy_m, height_m) @ normal) - options.tip_radius_m)
-        if found.dome > DOME_AT_MOST:
-            raise InputError(
-                f"something rigid, which a tip dents by {1e3 * DOME_AT_MOST:g} mm at 1 N at most",
-                f"a dent of {1e3 * found.dome:.2f} mm at 1 N that stiffens as it grows, as foam's",
-                "a block of steel or stone, fixed to the surface",
-            )
-        found_one(ComplianceTouch(found, law.peak_force_n, height_m, met_m))
-
-    return touch_places(geometry, np.tile(xy_m, (touches, 1)), touched)
+    return ComplianceTouch(found, law.peak_force_n, height_m, met_m)
 
 
 def combine_compliance(touches: list[ComplianceTouch]) -> CombinedCompliance:

@@ -30,18 +30,15 @@ from deformscope.stages.regions.touch_error import LAW_SD
 CAUSES = ("force gain", "depth scale", "tip radius", "compliance", "clock")
 """Logs of what a sensor says over the true force, of the arm's travel over the true one, and of the true tip over the
 stated one; compliance beyond the stated one [m/N]; delay of forces relative to poses [s]."""
-SHOWN = ((100.0, " %"),) * 3 + ((1e3, " mm/N"), (1e3, " ms"))
 TOLERANCE, OFF = (0.03, 0.003, 0.005, 1e-5, 0.002), (0.15, 0.06, 0.2, 3e-4, 0.03)
 """Deviations of causes that are not off, and of those that are [assumed]."""
 OFF_SHARE, MOST_OFF, SURE = 0.1, 2, 0.8
 """Prior probability that a cause is off; most that are off together; probability from which causes are named."""
 LOSS_SD, PLACES_SD, REPEATS_M = 0.05, 0.003, 2e-5
 """Deviations of the log dent on the way back over that on the way in, and of log modulus from place to place, of
-silicones; scatter of an arm along its way, at least [m] [assumed]."""
-LEAST, CHUNKS, AROUND = 0.05, 16, 10
-"""Share of the peak from which samples are used; means that each way is divided into; samples on either side of one
-that its speed is taken from."""
-ROUNDS, DRAWS, POINTS, TIP_STEP = 6, 4000, 300, 0.4
+silicones; least scatter of an arm along its way [m] [assumed]."""
+LEAST, CHUNKS, AROUND, ROUNDS, DRAWS, POINTS, TIP_STEP = 0.05, 16, 10, 6, 4000, 300, 0.4
+"""Share of the peak from which samples are used; means of each way; samples around one that its speed is taken from."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,11 +78,10 @@ class RigBias(ReportedResult):
     @property
     def causes_text(self) -> str:
         """Each cause with its 90 % interval."""
-        each = zip(self.causes.items(), SHOWN, strict=True)
-        return ", ".join(
-            f"{name} {scale * value:+.2g} +- {scale * Z_90 * sd:.2g}{unit} (off {chance:.2f})"
-            for (name, (value, sd, chance, _)), (scale, unit) in each
-        )
+        units = ((100.0, "%"),) * 3 + ((1e3, "mm/N"), (1e3, "ms"))
+        each = [(*one, *unit) for one, unit in zip(self.causes.items(), units, strict=True)]
+        text = "{} {:+.2g} +- {:.2g} {} (off {:.2f})".format
+        return ", ".join(text(name, by * one[0], by * Z_90 * one[1], unit, one[2]) for name, one, by, unit in each)
 
 
 def _means(curves: Sequence[IndentCurve], sample: IndentSample) -> FloatArray:
@@ -126,21 +122,16 @@ class _Rig:
         self.give = 0.0 if sample.machine_n_per_mm is None else 1e-3 / sample.machine_n_per_mm
         each = [self.touch == one for one in range(count)]
         self.peak_n = np.array([self.force_n[one].max() for one in each])
-        (low, high), deep = sample.poisson, 2.0 * sample.limit_m
-        nu = 0.5 * (low + high)
-        self.law, self.plane_pa, step = (
-            sample.law(deep, nu),
-            known.modulus_pa / (1.0 - nu**2),
-            0.02 - 0.04 * (nu > 0.25),
-        )
+        (low, high), nu, deep = sample.poisson, 0.5 * sum(sample.poisson), 2.0 * sample.limit_m
+        self.law, self.plane_pa = sample.law(deep, nu), known.modulus_pa / (1.0 - nu**2)
         ends = np.log(self.law.response(np.array([1e-4, 1.0]) * 2.0 * deep))
         self.logs = np.linspace(float(ends[0]), float(ends[1]), POINTS)
         others = [sample.law(deep, nu, tip=float(np.exp(one))) for one in (-TIP_STEP, TIP_STEP)]
-        others += [sample.law(deep, nu, thickness=1.02), sample.law(deep, nu + step)]
+        others += [sample.law(deep, nu, thickness=1.02), sample.law(deep, nu - 0.02)]
         self.dents = np.log(self.law.depth(np.exp(self.logs)))
         small, large, thick, other = (np.log(one.depth(np.exp(self.logs))) - self.dents for one in others)
         self.tip, self.bent_tip = 0.5 * (large - small) / TIP_STEP, 0.5 * (large + small) / TIP_STEP**2
-        self.thick, self.nu = thick / np.log(1.02), other / step
+        self.thick, self.nu = thick / np.log(1.02), -other / 0.02
         self.plane_slope = 2.0 * nu / (1.0 - nu**2)  # of log E*, over Poisson's ratio
         own = [np.hypot(known.modulus_sd, LAW_SD), sample.thickness_sd, max((high - low) / 12.0**0.5, 1e-6)]
         own += [OWN_EXPONENT_SD, LOSS_SD, *[max(PLACES_SD, scatter)] * count, *[1.0] * count]
@@ -158,11 +149,9 @@ class _Rig:
         way = np.exp(scale) * (np.exp(dent) + (self.give + give) * force) + clock * self.speed_m_s
         return np.asarray(at[10 + count :][self.touch] + way)
 
-    def fitted(
-        self, prior: FloatArray, start: FloatArray, inflate: float = 1.0
-    ) -> tuple[FloatArray, FloatArray, float]:
-        """Best parameters, their covariance, and the log of the evidence; z0 begins where it is."""
-        at, sd, cost, whole = start, inflate * self.sd_m, 0.0, np.eye(len(prior))
+    def fitted(self, prior: FloatArray, at: FloatArray, inflate: float) -> tuple[FloatArray, FloatArray, float]:
+        """Best parameters, from `at`, their covariance, and the log of the evidence."""
+        sd, cost, whole = inflate * self.sd_m, 0.0, np.eye(len(prior))
         steps = np.diag(np.minimum(1e-3 * prior, 1e-4))
         for _ in range(ROUNDS):
             off = (self.at_m - self.z_m(at)) / sd
@@ -192,7 +181,7 @@ def certify_rig(curves: Sequence[IndentCurve], known: KnownSample, tolerance: Se
     read = combine(estimates)
     rig = _Rig(_means(curves, known.lies), known, tolerance, read.scatter)
     every = np.append(np.maximum(OFF, tolerance), rig.prior[5:])
-    first = rig.fitted(every, rig.start)[0]
+    first = rig.fitted(every, rig.start, 1.0)[0]
     inflate = max(1.0, float(np.median(np.abs(rig.at_m - rig.z_m(first)) / rig.sd_m)) / 0.6745)
     sets = [one for size in range(MOST_OFF + 1) for one in itertools.combinations(range(5), size)]
     found, weight = [], np.zeros(len(sets))
@@ -200,8 +189,7 @@ def certify_rig(curves: Sequence[IndentCurve], known: KnownSample, tolerance: Se
         prior = np.where(np.isin(np.arange(len(every)), off), every, rig.prior)
         found.append(rig.fitted(prior, np.append(np.zeros(10 + rig.count), first[-rig.count :]), inflate))
         weight[number] = found[-1][2] + len(off) * np.log(OFF_SHARE / (1.0 - OFF_SHARE))
-    weight = np.exp(weight - weight.max())
-    weight /= weight.sum()
+    weight = np.exp(weight - weight.max()) / np.exp(weight - weight.max()).sum()
     random = np.random.default_rng(0)
     several = zip(found, random.multinomial(DRAWS, weight), strict=True)
     drawn = np.concatenate([random.multivariate_normal(at, cov, n, method="eigh") for (at, cov, _), n in several])

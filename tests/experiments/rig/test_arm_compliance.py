@@ -11,7 +11,13 @@ from deformscope.errors import InputError
 from deformscope.experiments.explore.explore import AtOnce
 from deformscope.experiments.explore.options import ExploreOptions
 from deformscope.experiments.explore.robot_geometry import AsMeasured, Touch
-from deformscope.experiments.rig.arm_compliance import COMMON_SD, ComplianceTouch, combine_compliance, touch_rigid
+from deformscope.experiments.rig.arm_compliance import (
+    COMMON_SD,
+    ComplianceTouch,
+    combine_compliance,
+    touch_places,
+    touched_rigid,
+)
 from deformscope.session import run
 from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
 
@@ -50,7 +56,13 @@ def touched(table: RigidTable, touches: int) -> list[ComplianceTouch]:
     made: list[ComplianceTouch] = []
     recorder: Any = SimpleNamespace(write=lambda step: None)
     geometry, place_m = AsMeasured(table.size_m), np.array([0.15, 0.1])
-    run([], touch_rigid(geometry, ExploreOptions(), place_m, touches, made.append), recorder, AtOnce(table))
+    options = ExploreOptions()
+    experiment = touch_places(
+        geometry,
+        np.tile(place_m, (touches, 1)),
+        lambda measured, height_m: made.append(touched_rigid(measured, height_m, options)),
+    )
+    run([], experiment, recorder, AtOnce(table))
     return made
 
 
