@@ -295,7 +295,8 @@ def from_pair(
     if stiffness is None or at_face is None:
         return model
     face = at_face[1] * scale  # a contact's face moves farther than the particles below it: k for its depth
-    k = model.stiffness * (seen.force_n or 0.0) / (predict(model, Poke(place, tip, depth=face)).force or np.nan)
+    found = press(particle_scene(model, law), law, Poke(place, tip, depth=face))
+    k = np.array([(seen.force_n or 0.0) / found.reaction]) if found.converged else model.stiffness
     return dataclasses.replace(model, stiffness=k, fitted_depth=face, fitted_strain=face / tip.width)
 
 
