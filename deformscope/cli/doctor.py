@@ -151,7 +151,7 @@ def _placing(rig: Rig) -> list[Finding]:
     """Whether an arm could place the hand with this file, where an arm and a hand are in it; nothing is opened."""
     from deformscope.robot.squeeze_setup import lacks_to_place
 
-    arms = [entry.driver.name for entry in rig.devices if entry.driver.kind == "arm" and entry.driver.name != "placed"]
+    arms = [entry.driver.name for entry in rig.devices if entry.driver.kind == "arm" and entry.driver.chains()]
     if not arms or "hand" not in {entry.driver.kind for entry in rig.devices}:
         return []
     if lacks := lacks_to_place(rig):

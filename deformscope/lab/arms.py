@@ -82,7 +82,11 @@ def arm_in_lab(
     seed: int = 0,
 ) -> ArmInLab:
     """An arm of a driver and its configuration, at the first of places (3,) of the tip's centre [m, surface frame] from
-    which it reaches the others. Raises InputError if it does not reach them."""
+    which it reaches the others. Raises InputError if it does not reach them, and for an arm without a double there."""
+    if driver not in _MADE:
+        raise InputError(
+            f"an arm of {', '.join(_MADE)} over a [surface] scene", driver, "the real arm, without a scene"
+        )
     return _MADE[driver](config, placement, places_m, clock, seed)
 
 

@@ -162,7 +162,7 @@ def setup_of_rig(rig: "Rig", seed: int = 0) -> "Setup":
     parts = RigParts.of(rig)
     table = table_of(parts, seed)[0]
     if table is None:
-        by_hand = parts.devices[0].driver.name == "placed"
+        by_hand = not parts.devices[0].driver.chains()
         return rig_setup(parts, member_of, person=PersonAtTerminal() if by_hand else None)
     return rig_setup(parts, member_of, table, (1.0 / ARM_STIFFNESS_N_M, ARM_DOUBT / ARM_STIFFNESS_N_M))
 

@@ -5,6 +5,7 @@ import os
 import shutil
 import subprocess
 import sys
+import typing
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,7 @@ import pytest
 from deformscope_drivers import interface
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.interface import DRIVERS, DeviceDriver, Drivers
-from deformscope_drivers.new_package import write_package
+from deformscope_drivers.new_package import PackageKind, write_package
 from tests.patience import PATIENCE_S
 
 ALONE = """
@@ -130,26 +131,33 @@ def test_an_entry_point_that_leads_nowhere_names_its_package(monkeypatch: pytest
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """A recording of a stranger's force sensor, and the folder in which its package is installed."""
+    """A recording of a stranger's devices, and the folder in which their packages are installed."""
     folder, site = tmp_path_factory.mktemp("rig"), tmp_path_factory.mktemp("site")
-    package = write_package(folder, "mysensor", "force")
-    shutil.copytree(package / "deformscope_mysensor", site / "deformscope_mysensor")
-    install(site, "mysensor", "deformscope_mysensor", "")
+    text = ""
+    for kind in typing.get_args(PackageKind):
+        package = write_package(folder, f"my{kind}", kind)
+        shutil.copytree(package / f"deformscope_my{kind}", site / f"deformscope_my{kind}")
+        install(site, f"my{kind}", f"deformscope_my{kind}", "")
+        text += f'[devices.{kind}]\ndriver = "my{kind}"\ndouble = true\n'
     rig = folder / "rig.toml"
-    rig.write_text('[devices.tip]\ndriver = "mysensor"\ndouble = true\nn_per_count = 0.02\n')
+    rig.write_text(text.replace('"myforce"', '"myforce"\nn_per_count = 0.02'))
     ran = deformscope("record", rig, "--seconds", "1.5", "--record", folder / "run.rrd", path=site)
     assert ran.returncode in (0, 3), ran.stderr  # 3: a busy machine
     return folder / "run.rrd", site
 
 
-def test_a_strangers_sensor_is_recorded_and_decoded_again(recorded: tuple[Path, Path], tmp_path: Path) -> None:
+def test_a_strangers_devices_are_recorded_and_decoded_again(recorded: tuple[Path, Path], tmp_path: Path) -> None:
     recording, site = recorded
     ran = deformscope("replay", recording, "--json", tmp_path / "replay.json", path=site)
     assert ran.returncode == 0, ran.stderr
-    (device,) = json.loads((tmp_path / "replay.json").read_text())["devices"]
-    assert device["driver"] == "mysensor"
-    assert device["compared"] == device["frames"] > 50
-    assert device["difference"] == ""
+    found = {one["device"]: one for one in json.loads((tmp_path / "replay.json").read_text())["devices"]}
+    assert {name: one["driver"] for name, one in found.items()} == {name: f"my{name}" for name in found}
+    assert set(found) == set(typing.get_args(PackageKind))
+    assert all(one["frames"] > 5 for one in found.values())
+    for name in ("force", "tactile"):
+        assert found[name]["compared"] == found[name]["frames"]
+        assert found[name]["difference"] == ""
+    assert found["arm"]["left_out"] == "its driver gives no bytes"
 
 
 def test_without_its_package_a_recording_opens_verifies_and_is_exported(
@@ -162,20 +170,20 @@ def test_without_its_package_a_recording_opens_verifies_and_is_exported(
     assert "force" in "".join(path.read_text() for path in (tmp_path / "csv").rglob("*.csv"))
     ran = deformscope("replay", recording)
     assert ran.returncode == 0, ran.stderr
-    assert "no package of driver mysensor is installed" in ran.stdout + ran.stderr
+    assert "no package of driver myforce is installed" in ran.stdout + ran.stderr
     assert deformscope("catalog", recording.parent).returncode == 0
 
 
 def test_a_key_that_its_driver_does_not_have_is_refused(recorded: tuple[Path, Path], tmp_path: Path) -> None:
     _, site = recorded
-    (tmp_path / "rig.toml").write_text('[devices.tip]\ndriver = "mysensor"\nn_per_cuont = 0.02\n')
+    (tmp_path / "rig.toml").write_text('[devices.tip]\ndriver = "myforce"\nn_per_cuont = 0.02\n')
     ran = deformscope("doctor", tmp_path / "rig.toml", path=site)
     assert ran.returncode == 2
     assert "'n_per_cuont'" in ran.stderr
     assert "n_per_count" in ran.stderr
 
 
-@pytest.mark.parametrize("kind", ["force", "camera"])
+@pytest.mark.parametrize("kind", ["force", "camera", "tactile", "arm"])
 def test_a_new_package_passes_its_tests_as_it_is(kind: str, tmp_path: Path) -> None:
     ran = deformscope("new-device", "mydevice", "--kind", kind, "--out", tmp_path)
     assert ran.returncode == 0, ran.stderr
@@ -199,3 +207,15 @@ def test_the_documented_driver_is_the_one_that_is_written(tmp_path: Path) -> Non
     written = write_package(tmp_path, "mysensor", "force") / "deformscope_mysensor" / "__init__.py"
     assert page.count("```python\n") == 1
     assert page.partition("```python\n")[2].partition("```")[0] == written.read_text(encoding="utf-8")
+
+
+def test_a_strangers_arm_over_simulated_foam_is_refused(recorded: tuple[Path, Path], tmp_path: Path) -> None:
+    """Its force sensor and camera are no reason against it."""
+    _, site = recorded
+    text = "".join(f'[devices.{name}]\ndriver = "my{name}"\ndouble = true\n' for name in ("arm", "force", "camera"))
+    box = "[workspace]\nlow_m = [-0.4, -0.66, 0.0]\nhigh_m = [0.45, 0.1, 0.75]\ncamera_silent_s = 0.5\n"
+    (tmp_path / "rig.toml").write_text(f'{text}[surface]\nscene = "two-60-150"\n{box}')
+    ran = deformscope("explore", tmp_path / "rig.toml", "--yes", path=site)
+    assert ran.returncode == 2
+    assert "expected an arm of jaco, kuka, placed over a [surface] scene; got myarm" in ran.stderr
+    assert len(ran.stderr.splitlines()) <= 5
