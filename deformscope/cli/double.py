@@ -51,4 +51,4 @@ def run(config: DoubleConfig) -> None:
 
 def _wired() -> str:
     """Drivers with a byte-exact double."""
-    return ", ".join(name for name in DRIVERS if DRIVERS[name].double)
+    return ", ".join(driver.name for driver in DRIVERS.of_kind() if driver.double)

@@ -245,20 +245,22 @@ class Drivers(Mapping[str, DeviceDriver]):
     def __len__(self) -> int:
         return len(self._found())
 
-    def of_kind(self, kind: str) -> list[DeviceDriver]:
-        """The usable drivers of a kind."""
+    def of_kind(self, kind: str = "") -> list[DeviceDriver]:
+        """The usable drivers of a kind, empty = of all."""
         found = []
         for name in self:
             try:
                 found.append(self[name])
             except DeviceError:  # reported where a rig file names it
                 continue
-        return [driver for driver in found if driver.kind == kind]
+        return [driver for driver in found if kind in ("", driver.kind)]
 
     def _found(self) -> dict[str, importlib.metadata.EntryPoint]:
         if not self._entries:
             entries = [*importlib.metadata.entry_points(group=GROUP), *_of_checkout()]
-            self._entries = {entry.name: entry for entry in sorted(entries, key=lambda entry: entry.name)}
+            # of two with one name this project's: no package replaces a driver unnoticed
+            entries.sort(key=lambda entry: (entry.name, entry.dist is None or entry.dist.name == "deformscope"))
+            self._entries = {entry.name: entry for entry in entries}
         return self._entries
 
 

@@ -119,6 +119,13 @@ def test_a_driver_has_the_name_of_its_entry_point(monkeypatch: pytest.MonkeyPatc
     assert "optoforce" in found, "the checkout's own are there too"
 
 
+def test_a_package_does_not_replace_a_driver_of_this_project(tmp_path: Path) -> None:
+    install(tmp_path, "optoforce", "another_optoforce", "raise SystemExit('it was imported')")
+    script = "from deformscope_drivers.interface import DRIVERS; print(DRIVERS['optoforce'].config.__name__)"
+    ran = python("-c", script, path=tmp_path)
+    assert ran.stdout == "OptoforceConfig\n", ran.stderr
+
+
 def test_an_entry_point_that_leads_nowhere_names_its_package(monkeypatch: pytest.MonkeyPatch) -> None:
     import importlib.metadata
 
