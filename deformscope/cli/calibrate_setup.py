@@ -42,8 +42,8 @@ def run(config: SetupOptions) -> None:
 def arm(config: ArmConfig | CertifyConfig) -> None:
     """Touch a rigid block, or a sample of known modulus; print the result, and write it into the rig file."""
     quiet_warp()
-    opening, settings = opening_of(config), settings_of(config)
-    settings |= opening.settings if isinstance(config, CertifyConfig) else {}
+    opening = opening_of(config)
+    settings = {**settings_of(config), "rig": "", **opening.settings}  # its file as text, for replay
     recorder = open_recorder(config.output, settings, RIG, real_time=opening.setup.runs_itself)
     if isinstance(config, ArmConfig):
         found, lines = calibrate_arm(config, opening, recorder), ""

@@ -33,7 +33,7 @@ EXAMPLES: dict[str, str] = {
     "calibrate force": _PLACED + "deformscope calibrate force rig.toml",
     "calibrate time": _DOUBLES + "deformscope calibrate time rig.toml",
     "calibrate arm": "deformscope calibrate arm lab:homogeneous-rigid",
-    "certify": "deformscope certify lab:block-162 --sample lab-block",
+    "certify": "deformscope certify lab:block-162 --sample lab-block --touches 1",
     "arm where": "deformscope arm where sample:rig",
     "arm files": _KUKA + "deformscope arm files kuka.toml --out controller",
     "arm home": "deformscope arm home sample:rig --yes",

@@ -307,7 +307,8 @@ def _certificate(replay: "Replay") -> "CertificateSection | None":
     """The certificate of the recorded rig, if it had one."""
     from deformscope.rig.sections import CertificateSection
 
-    given = tomllib.loads(replay.settings.get("rig", "")).get("certificate")
+    text = replay.settings["rig"] if "rig_name" in replay.settings else ""
+    given = tomllib.loads(text).get("certificate")
     return None if given is None else CertificateSection(**given)
 
 

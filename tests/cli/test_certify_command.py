@@ -56,6 +56,8 @@ def test_a_hidden_rig_has_its_bias_in_the_interval(tmp_path: Path, capsys: Captu
     assert CertificateSection(**section).interval == pytest.approx([low, high])
     assert Replay(recording).settings["laboratory"]["drawn"]["gain"] == drawn.gain
     assert verify_here(recording) == 0
+    assert main(["catalog", "compare", str(recording), str(recording), "--json", str(found)]) == 0
+    assert "certificates" not in json.loads(found.read_text())
 
 
 def test_a_rig_file_gets_its_certificate_and_explore_doctor_and_compare_use_it(
@@ -63,9 +65,8 @@ def test_a_rig_file_gets_its_certificate_and_explore_doctor_and_compare_use_it(
 ) -> None:
     use_a_simulated_clock(monkeypatch)
     use_quick_scene(monkeypatch)
-    assert (
-        main(["certify", str(rig), "--sample", "lab-block", "--thickness-m", "0.05", "--touches", "1", "--save"]) == 0
-    )
+    flags = ["--sample", "lab-block", "--thickness-m", "0.05", "--touches", "1", "--save"]
+    assert main(["certify", str(rig), *flags]) == 0
     made = load_rig(rig).certificate
     assert made is not None
     assert (made.sample, made.tip, made.days) == ("lab-block", "sphere of 20 mm", 0)
