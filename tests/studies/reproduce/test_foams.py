@@ -68,7 +68,8 @@ def made(seen: foam_fits.FoamResult, betas: list[tuple[float, float, float]]) ->
     """The five foams with these values and intervals."""
     results = []
     for foam, (value, low, high) in zip(sorted(FOAMS, key=lambda foam: foam.hardness), betas, strict=True):
-        estimate = dataclasses.replace(seen.fit("flow", "one", 2).estimate, value=value, interval=(low, high))
+        base = seen.fit("flow", "one", 2).estimate
+        estimate = dataclasses.replace(base, value=value, least_aee=(value, 0.0), interval=(low, high))
         found = dataclasses.replace(seen.fits[0].calibration, estimate=estimate, comparisons=())
         fit = dataclasses.replace(seen.fits[0], calibration=found)
         results.append(dataclasses.replace(seen, foam=foam, fits=(fit,)))
