@@ -52,9 +52,12 @@ def compare_with_bytes(rig: Rig | None, streams: Sequence[Stream], items: Iterab
 
 def redecoder_of(stream: Stream, config: object) -> Redecoder | None:
     """What makes readings from a device's bytes. None: its driver exchanges none, or its package is not installed."""
-    known = DRIVERS[stream.driver].redecoder if config is not None and stream.driver in DRIVERS else None
+    if config is None or stream.driver not in DRIVERS:
+        return None
+    driver = DRIVERS[stream.driver]
+    config = driver.complete(config) if stream.simulated else config
     said = Description(channels=stream.channels, torques=stream.torques, pads=stream.pads, urdf=stream.urdf)
-    return None if known is None else known(config, said, stream.device)
+    return None if driver.redecoder is None else driver.redecoder(config, said, stream.device)
 
 
 class _Check:

@@ -16,6 +16,7 @@ from deformscope_drivers.interface import DRIVERS, DeviceDriver, Drivers
 from deformscope_drivers.new_package import PackageKind, write_package
 from tests.patience import PATIENCE_S
 
+PACKAGES = Path(__file__).parents[2] / "drivers" / "packages"
 ALONE = """
 import importlib, pkgutil, sys, threading
 class Alone:
@@ -146,6 +147,13 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
         shutil.copytree(package / f"deformscope_my{kind}", site / f"deformscope_my{kind}")
         install(site, f"my{kind}", f"deformscope_my{kind}", "")
         text += f'[devices.{kind}]\ndriver = "my{kind}"\ndouble = true\n'
+    install(site, "netft", "deformscope_netft", "")
+    (about,) = site.glob("deformscope_netft-*")
+    (about / "entry_points.txt").write_text(f"[{interface.GROUP}]\nnetft = deformscope_netft:NETFT\n")
+    shutil.copytree(PACKAGES / "netft" / "deformscope_netft", site / "deformscope_netft")
+    text += (
+        '[devices.netft]\ndriver = "netft"\ndouble = true\n[devices.optoforce]\ndriver = "optoforce"\ndouble = true\n'
+    )
     rig = folder / "rig.toml"
     rig.write_text(text.replace('"myforce"', '"myforce"\nn_per_count = 0.02'))
     ran = deformscope("record", rig, "--seconds", "1.5", "--record", folder / "run.rrd", path=site)
@@ -158,10 +166,10 @@ def test_a_strangers_devices_are_recorded_and_decoded_again(recorded: tuple[Path
     ran = deformscope("replay", recording, "--json", tmp_path / "replay.json", path=site)
     assert ran.returncode == 0, ran.stderr
     found = {one["device"]: one for one in json.loads((tmp_path / "replay.json").read_text())["devices"]}
-    assert {name: one["driver"] for name, one in found.items()} == {name: f"my{name}" for name in found}
-    assert set(found) == set(typing.get_args(PackageKind))
+    assert set(found) == {*typing.get_args(PackageKind), "netft", "optoforce"}
+    assert all(one["driver"] == f"my{name}" for name, one in found.items() if name in typing.get_args(PackageKind))
     assert all(one["frames"] > 5 for one in found.values())
-    for name in ("force", "tactile"):
+    for name in ("force", "tactile", "netft", "optoforce"):  # the last two have what their double gives them
         assert found[name]["compared"] == found[name]["frames"]
         assert found[name]["difference"] == ""
     assert found["arm"]["left_out"] == "its driver gives no bytes"
