@@ -61,15 +61,16 @@ SUSPECT, CUT = 0.5, 0.35
 """Share of the textured pixels that are found in another image below which it may be another scene, and by the flow
 with feature matches is one: of one scene 55 % were found at least, of two 19 % at most."""
 
-HELD, FREE = 0.35, 0.6
-"""Motion of a side as a share of that at `INNER` inside: a held side has less than the first, a free one more than the
-second; between them it is not sure."""
+HELD, FREE = 0.15, 0.4
+"""Motion of a side, continued to it from `EDGE_PX` below, as a share of that at `INNER` inside: a held side has less
+than the first, a free one more than the second; between them it is not sure."""
 
 EDGE_PX, INNER = 3, 0.15
 """Depths below a side at which motions are compared [px of the small image; share of the body's size]."""
 
-AGREES, SURE = 0.8, 0.5
-"""Overlap of two segmentations at which the region is as likely wrong; least confidence of a sure choice."""
+AGREES, SURE, SURE_CONTACT = 0.8, 0.5, 0.65
+"""Overlap of two segmentations at which the region is as likely wrong; least confidence of a sure choice, and of a
+contact: the overlap of the tool with what moves most."""
 
 ZOOMS, BENDS_PX, MOVES = 0.01, 0.35, 0.03
 """Growth of the background, its residual beyond a shift, turn and zoom [px of the small image], and its shift as a
@@ -219,7 +220,8 @@ def find_body(images: Sequence[ImageArray]) -> FoundBody:
         in_region *= SURE  # a tool that passes for a part of the body
     confidence = {"region": in_region, "held": in_held, "contact": in_contact}
     flag = {"region": "--outline or --roi", "held": "--held", "contact": "--contact"}
-    doubts = tuple(f"{name} ({flag[name]})" for name, one in confidence.items() if one < SURE)
+    least = {"region": SURE, "held": SURE, "contact": SURE_CONTACT}
+    doubts = tuple(f"{name} ({flag[name]})" for name, one in confidence.items() if one < least[name])
     outline = (polygon(region) + 0.5) / scale - 0.5
     return FoundBody(
         outline=np.clip(np.rint(outline), 0, (width - 1, height - 1)),
@@ -627,11 +629,14 @@ def _strip(
     columns = np.flatnonzero(body.any(axis=0))
     cut = round(trim * len(columns))
     columns = columns[cut : len(columns) - cut]
-    rows = np.flatnonzero(body.any(axis=1))
-    inner = max(2 * EDGE_PX, round(INNER * len(rows)))
     top = body[:, columns].argmax(axis=0)
-    at = [np.minimum(top + depth, len(body) - 1) for depth in (EDGE_PX, inner)]
+    at = [np.minimum(top + depth, len(body) - 1) for depth in (EDGE_PX, _inner(body))]
     return columns, top, moved[at[0], columns], moved[at[1], columns]
+
+
+def _inner(body: BoolArray) -> int:
+    """Depth below the top side of a body at which its inside moves [px]."""
+    return max(2 * EDGE_PX, round(INNER * np.count_nonzero(body.any(axis=1))))
 
 
 def _side_of(region: BoolArray, tool: BoolArray) -> Literal["top", "bottom", "left", "right"]:
@@ -685,7 +690,7 @@ def _contact(
     run = np.arange(run[0], run[-1] + 1)
     if not len(pressed):
         if len(run) > 0.75 * len(columns):
-            return None, side, side, 0.6
+            return None, side, side, SURE_CONTACT
         return _footprint(side, region, run), side, None, 0.4
     under = np.intersect1d(pressed, columns)
     if not len(under):
@@ -727,7 +732,8 @@ def _held(
             both = np.isfinite(at_edge) & np.isfinite(inside)
             if np.count_nonzero(both) < 0.3 * len(edge) or inside[both].mean() < UNMOVED:
                 continue  # no motion comes there: whether it is held makes no difference
-            ratio = float(at_edge[both].sum() / inside[both].sum())
+            near = EDGE_PX / _inner(_seen_from(side, region))
+            ratio = (float(at_edge[both].sum() / inside[both].sum()) - near) / (1.0 - near)
             middle = 0.5 * (HELD + FREE)
             held += [side] if ratio < middle else []
             sure = min(sure, 0.5 * abs(ratio - middle) / (FREE - middle))

@@ -48,6 +48,15 @@ def test_a_block_that_is_pulled_by_all_of_a_side_is_held_there() -> None:
     assert overlap(filled(found, scene.size), truth(scene)) > 0.9
 
 
+@pytest.mark.parametrize("times", [0.4, 1.0])
+def test_a_free_side_far_from_the_tool_is_not_held_at_any_size(times: float) -> None:
+    """Its motion fades towards it; that of a held side ends there."""
+    fading = Scene(block=(60, 130, 330, 170), tool=(240, 80), swell=0.12)
+    small = [cv2.resize(one, None, fx=times, fy=times, interpolation=cv2.INTER_AREA) for one in render(fading)]
+    found = find_body(small)  # type: ignore[arg-type]
+    assert set(found.held) == {"bottom", "contact"}
+
+
 def test_places_are_those_of_the_large_image() -> None:
     scene = Scene()
     large = [cv2.resize(one, None, fx=2.0, fy=2.0, interpolation=cv2.INTER_CUBIC) for one in render(scene)]
