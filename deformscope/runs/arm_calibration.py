@@ -31,6 +31,7 @@ from deformscope.experiments.rig.arm_compliance import (
 from deformscope.file_io import nearest, read_file
 from deformscope.lab.session_errors import LabErrors
 from deformscope.log.findings import RigFindings
+from deformscope.pictures.messages import counted
 from deformscope.pictures.report import Figure
 from deformscope.pictures.setup import compliance_png
 from deformscope.plain import plain
@@ -241,7 +242,7 @@ def certify(
             "bias": found.bias,
             "interval": found.bias_interval,
             "off": found.off_text,
-            "conditions": f"{len(curves)} touches of up to {forces_n.max():.2g} N, scatter {found.scatter:.1%}",
+            "conditions": f"{counted(len(curves), 'touch')}, up to {forces_n.max():.2g} N, scatter {found.scatter:.1%}",
             "causes": {name: one[:2] for name, one in found.causes.items()},
         }
         rows = [*shown_rows(found, ()), *((name, str(values[name])) for name in ("sample", "tip", "conditions"))]
