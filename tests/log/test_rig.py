@@ -22,7 +22,7 @@ from deformscope.frames import (
     HealthReport,
     Item,
     LinkChange,
-    Pad,
+    PadLayout,
     RawBytes,
     Stream,
     TactileFrame,
@@ -419,9 +419,9 @@ def test_names_of_a_hand_are_apart_in_a_narrow_view() -> None:
 
 
 def test_pads_of_other_hands() -> None:
-    alone = Hand.of([Pad("palm", 3, 5, (0.002, 0.004), 0, 0, 0)])
+    alone = Hand.of([PadLayout("palm", 3, 5, (0.002, 0.004), 0, 0, 0)])
     assert (alone.rows, alone.columns, alone.corners, alone.texel_mm) == (3, 5, ((0, 0),), (2.0, 4.0))
-    beside = Hand.of([Pad(str(at), 3, 5, (0.002, 0.004), at, 0, 0) for at in range(2)])
+    beside = Hand.of([PadLayout(str(at), 3, 5, (0.002, 0.004), at, 0, 0) for at in range(2)])
     assert beside.corners[1][1] > 5
     assert [name for _, _, name in beside.names()] == ["0", "1"]
     assert len(set(beside.places().tolist())) == 30

@@ -34,7 +34,7 @@ from deformscope.frames import (
     ColorFrame,
     Frame,
     Item,
-    Pad,
+    PadLayout,
     StageResult,
     Stream,
     TactileFrame,
@@ -512,7 +512,7 @@ def test_a_stage_of_a_squeeze_is_refused_with_the_reason(name: Any) -> None:
         for_rig(LiveOptions((name,)), load_rig("lab:bench"))
 
 
-PADS = (Pad("thumb_distal", 4, 3, (3.4e-3, 3.4e-3), 0, 1, 1),)
+PADS = (PadLayout("thumb_distal", 4, 3, (3.4e-3, 3.4e-3), 0, 1, 1),)
 STREAMS = (Stream("camera", "color", "webcam"), Stream("pads", "tactile", "dsa", pads=PADS, full_scale_pa=3000.0))
 OPTIONS = LiveOptions(("flow", "tactile"), color="camera", tactile="pads", longest_px=80)
 
