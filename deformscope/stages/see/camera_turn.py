@@ -25,8 +25,7 @@ class CameraTurn:
 
     def __init__(self, first: Image, grid: ParticleGrid) -> None:
         shade = grey(first)
-        self._dark, bright = (float(one) for one in np.percentile(shade, (0.1, 99.9)))
-        self._factor = 255.0 / max(bright - self._dark, 1e-6)
+        self._factor = 255.0 / max(float(np.percentile(shade, 99.9)), 1e-6)
         self._first = self._eight_bits(first)
         around = np.full(shade.shape, 255, dtype=np.uint8)
         low = np.maximum(grid.rest_px.min(axis=0) - grid.spacing_px, 0.0).astype(int)
@@ -38,7 +37,7 @@ class CameraTurn:
         self._seen: list[tuple[Any, Any]] = []
 
     def _eight_bits(self, image: Image) -> Image:
-        return np.asarray(np.clip((grey(image) - self._dark) * self._factor, 0, 255), dtype=np.uint8)
+        return np.asarray(cv2.convertScaleAbs(grey(image), alpha=self._factor))
 
     def look(self, image: Image) -> None:
         """Follow the points to the next image."""
