@@ -353,7 +353,9 @@ def _sheets(path: Path) -> dict[str, bytes]:
         check_size("a workbook", max(unpacked, path.stat().st_size), path)
         book, found = CalamineWorkbook.from_path(path), {}
         for name in book.sheet_names:
-            csv.writer(text := io.StringIO(), "excel-tab").writerows(book.get_sheet_by_name(name).to_python())
+            rows = book.get_sheet_by_name(name).to_python()
+            rows = [[one.strip() if isinstance(one, str) else one for one in row] for row in rows]
+            csv.writer(text := io.StringIO(), "excel-tab").writerows(rows)
             found[name] = text.getvalue().encode()
     except InputError:
         raise

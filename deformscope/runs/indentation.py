@@ -42,12 +42,9 @@ from deformscope.stages.poke.indentation import (
 from deformscope.stages.poke.tip_law import Ground, Indenter
 
 ROLES = {
-    "force": ("N", re.compile(r"force|load|kraft|last|力|\bf[xyz]?\b|\bfn\b", re.IGNORECASE)),
-    "depth": (
-        "m",
-        re.compile(r"disp|depth|dent|ext|pos|travel|weg|stroke|compr|tiefe|llong|位移|height|\b[dz]\b", re.I),
-    ),
-    "time": ("s", re.compile(r"time|zeit|时间|\bt\b", re.IGNORECASE)),
+    "force": ("N", re.compile(r"(?i)force|load|kraft|last|力|\bf[xyz]?\b|\bfn\b")),
+    "depth": ("m", re.compile(r"(?i)disp|depth|dent|ext|pos|travel|weg|stroke|compr|tiefe|llong|位移|height|\b[dz]\b")),
+    "time": ("s", re.compile(r"(?i)time|zeit|时间|\bt\b")),
 }
 """Quantity of each column, and names that it has."""
 FACTORS = (

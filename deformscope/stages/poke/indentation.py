@@ -43,6 +43,8 @@ MOST_OF_RADIUS, MOST_OF_LAYER, MOST_DEPTH_M = 0.3, 0.2, 0.1
 """Deepest dents that the law of small strain is fitted to, over the tip's radius and over a layer's thickness: Hertz's
 law holds within some 3 % up to 0.3 radii (Lin et al. 2009, Biomech. Model. Mechanobiol. 8, 345). Deeper ones than the
 last [m] are taken to be of another unit."""
+FAR = 2.0
+"""Way in free air, over that from contact on, from which on a curve is used."""
 BENDS = 0.25
 """Log of the force over the law's at twice the fitted dent, from which the sample bends; elastic ones under a sphere
 stay below."""
@@ -251,21 +253,28 @@ class SplitCurve:
         before, after = np.flatnonzero(free[: self.began]), self.released + np.flatnonzero(free[self.released :])
         took = float(at[self.loaded - 1] - at[self.began])
         usual_n = DRIFT_SD * self.peak_n
-        if len(before) >= AIR <= len(after):
-            apart = float(at[after].mean() - at[before].mean())
-            rate = float(np.median(self.force_n[after]) - np.median(self.force_n[before])) / apart
-            rate_sd = 1.25 * self.noise_n * float(np.hypot(len(before) ** -0.5, len(after) ** -0.5)) / apart
-        elif len(before) >= 4 * AIR:
+        rate = rate_sd = np.nan
+        if len(before) >= 4 * AIR:
             away = at[before] - at[before].mean()
             rate = float(away @ self.force_n[before] / (away @ away))
             rate_sd = self.noise_n / float(np.sqrt(away @ away))
-        else:
+        if len(before) >= AIR <= len(after):
+            apart = float(at[after].mean() - at[before].mean())
+            both = float(np.median(self.force_n[after]) - np.median(self.force_n[before])) / apart
+            both_sd = 1.25 * self.noise_n * float(np.hypot(len(before) ** -0.5, len(after) ** -0.5)) / apart
+            if not abs(both - rate) > 4.0 * np.hypot(both_sd, rate_sd):  # else the tip drags, or keeps something
+                rate, rate_sd = both, both_sd
+        if np.isnan(rate):
             return 0.0, usual_n
         self.rate_n_per_s = None if self.time_s is None else rate
         if abs(rate) < 4.0 * rate_sd:
             return 0.0, min(rate_sd * took, usual_n)
         self.force_n = self.force_n - rate * (at - at[before].mean())
         return rate * took, max(rate_sd, 0.2 * abs(rate)) * took
+
+    def far(self) -> int:
+        """Samples at the begin that are far from the sample, where zero and drift are others than near it."""
+        return int(np.argmax(self.given_m > self.given_m[self.began] - FAR * self.travel_m))
 
     def law(self, poisson: float) -> TipLaw:
         """The tip's law, up to the deepest dent that it is fitted to."""
@@ -437,6 +446,9 @@ def fit_indentation(curve: IndentCurve, sample: IndentSample) -> IndentEstimate:
     """The modulus of a sample by one poke. Raises InputError for a curve that does not touch, of a wrong sign or unit,
     and for a tip that the sample has no room for."""
     poke = SplitCurve(curve, sample)
+    if far := poke.far():
+        time_s = None if poke.time_s is None else poke.time_s[far:]
+        poke = SplitCurve(IndentCurve(poke.given_m[far:], poke.force_n[far:], time_s, curve.name), sample)
     _check_depth(sample, poke.travel_m, curve.name)
     upto, exponent_sd, reasons = poke.within_law()
     reasons += poke.reasons()

@@ -292,6 +292,20 @@ def test_a_drift_of_the_force_is_taken_off_and_named() -> None:
     assert codes(fitted(poke(noise=0.002))) == []
 
 
+def test_a_long_way_to_the_sample_and_a_fluid_that_drags_change_nothing() -> None:
+    """A cantilever in water: its zero tilts on the way down, and the fluid pulls it as it goes up, faster."""
+    way = np.concatenate([np.linspace(-0.02, 0.002, 4000), np.linspace(0.002, -0.02, 800)])
+    force = hertz(way)
+    peak = force.max()
+    down = np.arange(len(way)) < 4000
+    force = force + 0.003 * peak * np.random.default_rng(8).standard_normal(len(way))
+    force += np.where(down, 0.02 * peak * np.linspace(0.0, 1.2, len(way)), -0.06 * peak)
+    found = fit_indentation(IndentCurve(way, force, 0.01 * np.arange(len(way))), BALL)
+    assert found.modulus_pa == pytest.approx(YOUNG, rel=0.03)
+    assert found.contact_interval_m[0] < 0.0 < found.contact_interval_m[1]
+    assert found.modulus_interval_pa[0] < YOUNG < found.modulus_interval_pa[1]
+
+
 def test_adhesion_is_named_with_the_work_of_its_pull() -> None:
     z, force, time = poke(noise=0.001)
     released = 840 - 120
