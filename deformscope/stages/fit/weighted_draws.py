@@ -14,6 +14,9 @@ are drawn; degrees of freedom of the proposal."""
 ROUNDS, DAMPING, SETTLED = 30, 1e-2, 1e-3
 """The search for the likeliest parameters: most rounds, first damping, change of half the squares at its end."""
 
+RIDGE = 1e-9
+"""Share of a curvature's diagonal that is added where rounding leaves none of a direction."""
+
 
 def median_and_interval(value: FloatArray, weight: FloatArray, level: float = 0.9) -> tuple[float, tuple[float, float]]:
     """Median and interval of draws (n,) with weights (n,), in the unit of the draws."""
@@ -86,7 +89,7 @@ def draw_about_each(models: Sequence[DrawnModel], random: np.random.Generator) -
     Choices are drawn by their evidence as a Gaussian about their most probable parameters gives it (Laplace).
     Parameters about these are drawn from a heavier tail, and weighted by their density over that of the draw."""
     minima = [one.minima() for one in models]
-    roots = [np.linalg.cholesky(curved) for _, _, curved in minima]
+    roots = [_root(curved) for _, _, curved in minima]
     logs = [np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1) for root in roots]
     evidence = [
         0.5 * len(one.spread) * np.log(2.0 * np.pi) - least - log - one.log_size()
@@ -111,3 +114,11 @@ def draw_about_each(models: Sequence[DrawnModel], random: np.random.Generator) -
     every -= scipy.special.logsumexp(every) - np.log(len(every))
     weight = np.exp(np.minimum(every, 0.5 * np.log(len(every))))  # truncated (Ionides 2008)
     return drawn, weight / weight.sum()
+
+
+def _root(curved: FloatArray) -> FloatArray:
+    """(c, k, k) lower roots of curvatures, also of those that have no width in a direction but for rounding."""
+    try:
+        return np.linalg.cholesky(curved)
+    except np.linalg.LinAlgError:
+        return np.linalg.cholesky(curved + RIDGE * np.eye(curved.shape[1]) * curved)

@@ -99,6 +99,21 @@ def test_models_are_weighed_by_their_evidence() -> None:
     assert np.average(drawn[0][:, 0], weights=near) == pytest.approx(slope, abs=0.1)
 
 
+def test_parameters_that_data_cannot_tell_apart_are_drawn() -> None:
+    """Only their sum is known: rounding leaves a curvature that is not positive."""
+    design = 1e5 * np.ones((2, 1)) * np.linspace(0.5, 1.0, 40)
+    data = np.linspace(0.5, 1.0, 40) * 1e5
+
+    def linear(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return at @ design - data, np.broadcast_to(design, (len(at), *design.shape))
+
+    random = np.random.default_rng(2)
+    made = DrawnModel(np.zeros((1, 2)), np.full(2, 1e6), 1.0, lambda at: linear(at)[0], linear)
+    (drawn,), weight = draw_about_each([made], random)
+    assert np.isfinite(drawn).all()
+    assert np.average(drawn.sum(axis=1), weights=weight) == pytest.approx(1.0, rel=1e-3)
+
+
 @pytest.mark.parametrize("spectrum", [Branches(2, np.linspace(-2.0, 4.0, 6), 1.0), Endless.over(0.7, 8.0, 0.1, 1.0)])
 def test_derivatives_of_spectra_are_their_differences(spectrum: Branches | Endless) -> None:
     time = np.linspace(0.0, 8.0, 50)
