@@ -22,12 +22,39 @@ def test_a_half_space_is_hertz_sneddon_and_the_disc() -> None:
 
 @pytest.mark.parametrize(
     ("poisson", "over_thickness", "kappa"),
-    [(0.3, 0.2, 1.207), (0.3, 1.0, 2.480), (0.3, 2.0, 4.336), (0.5, 0.2, 1.281), (0.5, 1.0, 3.609), (0.5, 2.0, 9.069)],
+    [
+        (0.45, 0.2, 1.252),
+        (0.45, 0.4, 1.599),
+        (0.45, 0.6, 2.031),
+        (0.45, 0.8, 2.532),
+        (0.45, 1.0, 3.085),
+        (0.45, 1.5, 4.638),
+        (0.45, 2.0, 6.380),
+        (0.3, 0.2, 1.207),
+        (0.3, 1.0, 2.480),
+        (0.3, 2.0, 4.336),
+        (0.5, 0.2, 1.281),
+        (0.5, 1.0, 3.609),
+        (0.5, 2.0, 9.069),
+    ],
 )
 def test_a_disc_on_a_bonded_layer_is_that_of_hayes(poisson: float, over_thickness: float, kappa: float) -> None:
-    """Hayes et al. 1972, table 1; their quadrature differs from finer ones by up to 1 % on thin layers."""
+    """Hayes et al. 1972, table 1, as public programs quote it for 0.45 (the other ratios are quoted from memory)."""
     law = TipLaw(Indenter("disc", (2.0 * over_thickness,)), 0.1, 1.0, "bonded", poisson)
     assert law.factor(over_thickness) == pytest.approx(kappa, rel=0.01)
+
+
+@pytest.mark.parametrize(("over_thickness", "table"), [(2.0, 6.380), (4.0, 14.45)])
+def test_where_a_published_table_is_coarse_finite_elements_hold_the_law(over_thickness: float, table: float) -> None:
+    """On thin layers its values are lower than the law's by 0.6 and 1.5 %. Elements are stiffer than the truth."""
+    thickness = 0.5 / over_thickness
+    r = np.append(0.5 - 0.5 * (1.0 - np.linspace(0.0, 1.0, 36)) ** 2, 0.5 + graded(0.002, 0.004, 3.0, 1.2)[1:])
+    z = thickness - graded(0.002, 0.004, thickness, 1.2)[::-1]
+    gap = np.where(r < 0.5 + 1e-9, 0.0, 1e9)
+    force = press(surface_compliance(r, z, 0.45, bonded=True), gap, np.array([0.001]))[0]
+    law = TipLaw(Indenter("disc", (1.0,)), 0.1, thickness, "bonded", 0.45).factor(0.5)
+    assert 1.0 < 1e3 * force * (1.0 - 0.45**2) / law < 1.004
+    assert table < 0.995 * law
 
 
 def test_a_rectangle_on_a_half_space_is_the_capacitance_of_a_plate() -> None:
