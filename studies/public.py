@@ -44,7 +44,7 @@ NANITE_PA, NANITE_CONTACT_M = 14741.96, 1.80293e-5
 
 @dataclass(frozen=True, slots=True)
 class PublicRow:
-    """One use of a source. typed: the command; came: what it says; authors: what the authors say; holds: whether our
+    """One use of a source. typed: the command; came: its result; authors: that of the authors; holds: whether our
     interval holds that, None where there is nothing to hold; why: why not, or under which assumption"""
 
     typed: str
@@ -64,7 +64,7 @@ class PublicOutcome:
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """A repository. owner: of its address; commit: the version that was tried; licence: its licence, or `none`; rows:
+    """A repository. owner: who publishes it; commit: the version that was tried; licence: its licence, or `none`; rows:
     the uses of a checkout"""
 
     owner: str
@@ -157,7 +157,7 @@ def gap_m(book: Path, sheet: str) -> float:
 
 
 def vhb(folder: Path) -> Iterator[PublicRow]:
-    """Strips in tension: no poke, so no modulus may come of them."""
+    """Strips in tension: no poke, and no modulus is right."""
     for name in ("1d5", "6d0"):
         typed, _, said = indented(folder, f"single-step-relaxation/original_data/{name}.csv", tip="disc:0.02")
         why = "a strip in tension is no poke, and the command has no geometry for it"

@@ -44,7 +44,7 @@ MOST_OF_RADIUS, MOST_OF_LAYER, MOST_DEPTH_M = 0.3, 0.2, 0.1
 law holds within some 3 % up to 0.3 radii (Lin et al. 2009, Biomech. Model. Mechanobiol. 8, 345). Deeper ones than the
 last [m] are taken to be of another unit."""
 FAR = 2.0
-"""Way in free air, over that from contact on, from which on a curve is used."""
+"""Way in free air, over that from contact on, beyond which a curve is not used."""
 BENDS = 0.25
 """Log of the force over the law's at twice the fitted dent, from which the sample bends; elastic ones under a sphere
 stay below."""
