@@ -136,6 +136,7 @@ def calibrate(
         (model.parameter, value, ends),
         options,
         floor=inference.floor,
+        closest=[positions[least] for positions in fit.tried.positions],
         converged=converged,
         found=shown,
         added=held_off(seen, stated),
@@ -219,6 +220,7 @@ def estimate_of(
     *,
     floor: float,
     least_aee: tuple[float, float],
+    closest: Sequence[FloatArray],
     converged: bool,
     found: Sequence[Doubt],
     added: Iterable[Doubt] = (),
@@ -227,17 +229,18 @@ def estimate_of(
 ) -> Estimate:
     """The estimate of one fitted parameter, its value and interval, with its verdicts.
 
-    floor: least noise [unit]; least_aee: as in `Estimate`; found: further doubts; added: doubts that follow those of
+    floor: least noise [unit]; least_aee: as in `Estimate`; closest: (K, d) states there, by which
+    the model is judged; found: further doubts; added: doubts that follow those of
     the numbers and the shapes; given: the remaining fields of the `Estimate`"""
     parameter, value, ends = fitted
-    bounds, simulated = options.bounds, [c.simulated for c in comparisons]
+    bounds = options.bounds
     known = Identifiability(
         rise=inferred.rise,
-        explained=explained(seen, simulated),
+        explained=explained(seen, closest),
         deviation=inferred.posterior.deviation(),
         misfit=float(np.sqrt(np.mean([one.misfit() ** 2 for one in inferred.explanations]))),
     )
-    noise = doubts.residual_ratio(seen, simulated, floor), inferred.noise, doubts.noise_source(seen)
+    noise = doubts.residual_ratio(seen, closest, floor), inferred.noise, doubts.noise_source(seen)
     judge = partial(doubts.found_in_numbers, parameter, ends, known, converged=converged, seen=seen)
     ranked = least_aee[0], inferred.posterior.rank(least_aee[0])
     here = doubts.setting(seen, options.model, known.misfit, inferred.noise) if parameter == "theta" else ()

@@ -408,9 +408,9 @@ def _slid(seen: Observation, noise: float) -> float:
     moved, touched = seen.deformed - seen.rest, np.isin(seen.held, seen.touched)
     sd = 0.0 if seen.held_measured is False else noise if seen.noise is None else float(seen.noise[seen.held].max())
     farthest, push = 0.0, push_share(seen) * size_of(seen.rest)
-    for side in (seen.held[touched], seen.held[~touched]):
+    for side in (one for one in (seen.held[touched], seen.held[~touched]) if len(one)):
         at = seen.rest[side] - seen.rest[side].mean(axis=0)
-        size, along = np.linalg.svd(at, full_matrices=False)[1:] if len(side) else (np.zeros(1), at)
+        size, along = np.linalg.svd(at, full_matrices=False)[1:]
         flat = size > 1e-6 * size_of(seen.rest)
         if len(side) <= flat.sum() or not 0 < flat.sum() < at.shape[1]:
             continue

@@ -169,7 +169,7 @@ class Identifiability:
 
     rise: standard deviations by which the data separate the likeliest value of the range from the least likely
     explained: share of the motion, less the best rigid one, that the model explains (sums of squares; free particles).
-    The share is 0 or less if misfit or noise are as large as the motion
+    The share is that at the least AEE, 0 or less if misfit or noise are as large as the motion
     deviation: deviation of the posterior; misfit: root mean square of the model's error, per coordinate [unit]"""
 
     rise: float = field(metadata=reported(key="rise_sd"))

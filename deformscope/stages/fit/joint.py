@@ -223,8 +223,9 @@ class _Joint:
             for marginal, separation in zip(each, rise, strict=True)
         ]
         doubts = [*shape_doubts(self.seen), *(self._in_residuals(beta, theta, comparisons) if self.converged else ())]
+        closest = [state[0] for state in self.simulate(*(np.array([one]) for one in least))]
         of_beta, of_theta = (
-            self._estimate(name, value, (at, least_aee), one, comparisons, aee, k, doubts)
+            self._estimate(name, value, (at, least_aee), closest, one, comparisons, aee, k, doubts)
             for name, value, at, one in zip(JOINTLY, (beta, theta), least, found, strict=True)
         )
         mean_b, mean_t = (float(np.sum(over * x) / over.sum()) for x in self._flat(grid, t))
@@ -322,6 +323,7 @@ class _Joint:
         name: Parameter,
         value: float,
         least_aee: tuple[float, float],
+        closest: Sequence[FloatArray],
         inferred: Inferred,
         comparisons: Sequence[Comparison],
         aee: float,
@@ -342,6 +344,7 @@ class _Joint:
             FitOptions(options.model, bounds, level=options.level),
             floor=max(part.measured.floor for part in self.parts),
             least_aee=least_aee,
+            closest=closest,
             converged=self.converged,
             found=doubts,
             stiffness=k,
