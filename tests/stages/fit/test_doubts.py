@@ -253,6 +253,16 @@ def test_columns_in_the_wrong_order_are_named(what: str) -> None:
     assert found.verdict == "unidentified"
 
 
+def test_columns_of_images_are_in_order() -> None:
+    """Plates of a low Poisson's ratio looked exchanged."""
+    seen = swapped(seen_sheet(0.6))
+    filmed = dataclasses.replace(
+        seen, unit="px", metres_per_unit=1e-4, rest=1e4 * seen.rest, deformed=1e4 * seen.deformed
+    )
+    assert "axes-swapped" in codes(fitted(seen).reasons)
+    assert "axes-swapped" not in codes(fitted(filmed).reasons)
+
+
 def test_noise_stated_far_too_small_is_not_identified() -> None:
     seen = seen_sheet(0.6, noise=5e-4)
     assert seen.noise is not None
