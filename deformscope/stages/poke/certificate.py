@@ -37,6 +37,8 @@ OFF_SHARE, MOST_OFF, SURE = 0.1, 2, 0.8
 LOSS_SD, PLACES_SD, REPEATS_M = 0.05, 0.003, 2e-5
 """Deviations of the log dent on the way back over that on the way in, and of log modulus from place to place, of
 silicones; least scatter of an arm along its way [m] [assumed]."""
+UNEVEN = 0.1
+"""Scatter between touches from which a sample is not of one modulus."""
 LEAST, CHUNKS, AROUND, ROUNDS, DRAWS, POINTS, TIP_STEP = 0.05, 16, 10, 6, 4000, 300, 0.4
 """Share of the peak from which samples are used; means of each way; samples around one that its speed is taken from."""
 
@@ -176,9 +178,12 @@ class _Rig:
 
 def certify_rig(curves: Sequence[IndentCurve], known: KnownSample, tolerance: Sequence[float] = TOLERANCE) -> RigBias:
     """The bias of a rig and its causes by touches of a sample of known modulus. tolerance: deviations (5,) of causes
-    that are not off. Raises the errors of `fit_indentation`."""
+    that are not off. Raises the errors of `fit_indentation`, and InputError for touches that disagree."""
     estimates = [fit_indentation(one, known.lies) for one in curves]
     read = combine(estimates)
+    if read.scatter > UNEVEN:
+        came, hint = f"touches that differ by {read.scatter:.0%}", "a sample of one material, away from its sides"
+        raise InputError(f"a sample whose touches agree within {UNEVEN:.0%}", came, hint)
     rig = _Rig(_means(curves, known.lies), known, tolerance, read.scatter)
     every = np.append(np.maximum(OFF, tolerance), rig.prior[5:])
     first = rig.fitted(every, rig.start, 1.0)[0]

@@ -227,6 +227,7 @@ class SplitCurve:
     def _split(self, smooth: FloatArray) -> None:
         top_m = float(self.given_m.max())
         deep = self.given_m >= top_m - HELD * (top_m - self.given_m[self.began])
+        took = 0
         for near in (deep | (smooth >= (1.0 - HELD) * self.peak_n), deep):
             at = np.flatnonzero(near & (smooth > 0.2 * self.peak_n))
             self.loaded, self.held = int(at[0]) + 1, int(at[-1]) + 1

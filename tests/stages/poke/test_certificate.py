@@ -168,3 +168,10 @@ def test_touches_need_times() -> None:
     depth, force, _ = touch(draw("none", np.random.default_rng(0)), (2.0, 0.49), 97e3, 0.002, np.random.default_rng(1))
     with pytest.raises(InputError, match="touches with times"):
         certify_rig([IndentCurve(depth, force)], KnownSample("sample", 97e3, 0.03, lies((2.0, 0.49))))
+
+
+def test_a_sample_of_two_materials_certifies_nothing() -> None:
+    random = np.random.default_rng(3)
+    curves = curves_of(draw("none", random), (2.0, 0.49), np.array([97e3, 97e3, 160e3, 160e3]), random)
+    with pytest.raises(InputError, match="agree within 10%; got touches that differ by"):
+        certify_rig(curves, KnownSample("sample", 97e3, 0.03, lies((2.0, 0.49))))
