@@ -41,6 +41,7 @@ EXAMPLES: dict[str, str] = {
     "arm jog": _SEEN + "deformscope arm jog rig.toml",
     "record": _BENCH.strip(),
     "live": "deformscope live lab:bench --seconds 3 --stage tactile --viewer page",
+    "new-device": "deformscope new-device mysensor --kind force",
     "double": "deformscope double optoforce --seconds 3",
     "replay": _PAIR + "deformscope replay pair.rrd",
     "verify": _PAIR + "deformscope verify pair.rrd --stages",

@@ -95,12 +95,12 @@ DATASET = {f"dataset {what}" for what in ("list", "relabel", "discard", "merge",
 BY_ITSELF = {"arm where", "arm home", "arm files"}
 ONLY_LOOK = (
     {"devices", "doctor", "verify", "recover", "double", "bench", "export", "discard", "report", "catalog"}
-    | {"catalog compare", "completion", "sweep"}
+    | {"new-device", "catalog compare", "completion", "sweep"}
     | DATASET
     | BY_ITSELF
 )
-"""Commands that compute nothing of a thing: they list, check, convert, keep a data set, measure this machine, or ask an
-arm where it is or to go home by its own way, or write the files for its controller."""
+"""Commands that compute nothing of a thing: they list, check, convert, write a package, keep a data set, measure this
+machine, or ask an arm where it is or to go home by its own way, or write the files for its controller."""
 
 
 def test_every_command_that_computes_records_and_shows() -> None:
@@ -116,6 +116,7 @@ def test_an_existing_recording_is_not_written_over(name: str, tmp_path: Path, ca
     kept = tmp_path / "kept.rrd"
     kept.write_bytes(b"kept")
     needed = {
+        "certify": ["x.toml", "--sample", "lab-block"],
         "flow": ["a.png", "b.png", "--out", "f.npz"],
         "indent": ["x.csv", "--tip", "sphere:0.02"],
         "predict": ["m.npz", "--poke", "at=0,0 depth=0.001"],

@@ -169,7 +169,7 @@ def test_a_contact_that_is_lost_asks_for_the_order_of_the_images(
     images, particles, _ = pushed
     other = images[-1].copy()
     other[10:70, 40:120] = np.random.default_rng(4).uniform(0, 255, (60, 80))
-    with pytest.raises(InputError, match="try: the images in order, the one at rest first"):
+    with pytest.raises(InputError, match="a smaller --stride; the images in order, the one at rest first"):
         follow([images[0], other], particles, FitOptions())
 
 
