@@ -14,7 +14,7 @@ from deformscope.stages.poke.tip_law import Indenter
 from tests.stages.poke.hidden_rigs import ARM_M_PER_N, CAUSES, LAYERS, HiddenRig, draw, touch
 
 BALL = Indenter("sphere", (0.02,))
-KNOWN_TO, PLACES, TOUCHES = 0.03, 0.01, 5
+KNOWN_TO, PLACES, TOUCHES = 0.03, 0.01, 6
 THIRD = (3.0, 0.49)
 """Layer of the third sample."""
 
