@@ -310,7 +310,7 @@ def test_a_rig_that_is_ended_early_says_so(rig: Path, tmp_path: Path, capsys: Ca
     assert main([*command, "--seconds", "60"]) == 128 + signal.SIGTERM
     ended = json.loads(told.read_text())["ended"]
     assert ended.startswith("by SIGTERM after")
-    assert ended.endswith("earlier than the 60 s asked for")
+    assert ended.endswith("earlier than the requested 60 s")
     assert ended in capsys.readouterr().err
     assert check_recording(file).problems == []
     assert verify_here(file) in WHOLE
