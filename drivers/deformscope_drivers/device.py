@@ -629,6 +629,19 @@ class StreamDevice(Device[MeasurementT]):
                 events.append((event, host_ns))
         return events
 
+    def _gather(self, count: int, wait_s: float, advice: str) -> list[MeasurementT]:
+        """The next readings, a given number, which are published as well. Raises NoReply if they take longer."""
+        found: list[MeasurementT] = []
+        until_ns = self._clock() + round(wait_s * 1e9)
+        while len(found) < count and not self._closing.is_set() and self._clock() < until_ns:
+            for event, host_ns in self._listen(ROUND_S):
+                for reading in self._measure(event, host_ns):
+                    found.append(reading)
+                    self._publish(reading)
+        if len(found) < count:
+            raise NoReply(f"{count} readings within {wait_s:.3g} s", str(len(found)), advice, self.name)
+        return found
+
     def _send(self, data: bytes) -> None:
         """Send bytes, in the device's thread."""
         self._transport.write(data)

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from deformscope_drivers.clock import Clock, ClockFit, Unwrap, monotonic_ns
-from deformscope_drivers.device import ROUND_S, StreamDevice
+from deformscope_drivers.device import StreamDevice
 from deformscope_drivers.errors import CommandRefused, NoReply, SettingsRefused
 from deformscope_drivers.health import Description, Identity, Link
 from deformscope_drivers.optoforce import protocol
@@ -185,7 +185,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         is cleared, and its value is subtracted here."""
         self._send_settings(replace(wanted, zeroed=False))
         if wanted.speed:
-            self._gather(1)
+            self._next(1)
 
     def _send_settings(self, wanted: DaqSettings) -> None:
         zero = protocol.Zero.SET if wanted.zeroed else protocol.Zero.CLEAR
@@ -252,10 +252,10 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         self._still_mean(count, still_counts, "the zero point is unchanged")
         self._measurer.offset = None
         self._send_settings(replace(self.settings, zeroed=False))
-        self._gather(settle)
+        self._next(settle)
         before = self._still_mean(count, still_counts, "the zero point is cleared")
         self._send_settings(replace(self.settings, zeroed=True))
-        self._gather(settle)
+        self._next(settle)
         after = self._still_mean(count, still_counts, "the zero point is set, perhaps wrongly")
         if np.abs(after).max() > still_counts:
             self._send_settings(replace(self.settings, zeroed=False))
@@ -268,7 +268,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
 
     def _still_mean(self, count: int, still_counts: float, state: str) -> FloatArray:
         """(channels, axes) mean of a number of readings; refused if they vary."""
-        readings = self._gather(count)
+        readings = self._next(count)
         bad = next((reading for reading in readings if not reading.status.usable or reading.overload), None)
         if bad is not None:
             raise SettingsRefused("a sensor without faults", f"{bad.status}; {state}", "unload it", self.name)
@@ -284,17 +284,8 @@ class Optoforce(StreamDevice[ForceMeasurement]):
             raise SettingsRefused(expected, f"{varies:.3g}; {state}", advice, self.name)
         return np.asarray(counts.mean(axis=0))
 
-    def _gather(self, count: int) -> list[ForceMeasurement]:
-        """The next readings, a given number, which are published as well."""
-        found: list[ForceMeasurement] = []
+    def _next(self, count: int) -> list[ForceMeasurement]:
         wait_s = max(SILENCE_S, SILENCE_READINGS * self.settings.speed * 1e-3) + 2e-3 * count * self.settings.speed
-        until_ns = self._clock() + round(wait_s * 1e9)
-        while len(found) < count and not self._closing.is_set() and self._clock() < until_ns:
-            for event, host_ns in self._listen(ROUND_S):
-                for reading in self._measure(event, host_ns):
-                    found.append(reading)
-                    self._publish(reading)
-        if len(found) < count:
-            advice = "check power, cable and port; is it an OptoForce DAQ with protocol 1.4 or later?"
-            raise NoReply(f"{count} readings within {wait_s:.3g} s", str(len(found)), advice, self.name)
-        return found
+        return self._gather(
+            count, wait_s, "check power, cable and port; is it an OptoForce DAQ with protocol 1.4 or later?"
+        )

@@ -42,8 +42,8 @@ def _double(config: OptoforceConfig, scene: Scene | None) -> Double:
     sensitivities = _complete(config).sensitivities
     axes = sensitivities[0].axes
     kind = Kind.FOUR_CHANNEL if len(sensitivities) > 1 else Kind.SIX_AXIS if axes == 6 else Kind.THREE_AXIS
-    felt = scene if scene is not None else lambda time_s: (0.0,) * 6
-    return OptoforceDouble(Sensors(kind, lambda time_s: felt(time_s)[:axes], sensitivities))
+    load = scene if scene is not None else lambda time_s: (0.0,) * 6
+    return OptoforceDouble(Sensors(kind, lambda time_s: load(time_s)[:axes], sensitivities))
 
 
 def _lacks(config: OptoforceConfig) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from deformscope_drivers.clock import Clock, Stamp, monotonic_ns
 from deformscope_drivers.device import ROUND_S, StreamDevice
 from deformscope_drivers.doubles import Double
-from deformscope_drivers.errors import NoReply, SettingsRefused
+from deformscope_drivers.errors import SettingsRefused
 from deformscope_drivers.framing import FrameDecoder
 from deformscope_drivers.health import Description, Identity
 from deformscope_drivers.interface import DeviceDriver, FloatArray, Redecoder, Scene, Wrench
@@ -80,7 +80,7 @@ class Ft300(StreamDevice[Wrench]):
         self._transport.drain(ROUND_S, ROUND_S)
         self._expect(RATE_HZ)
         self._send(START)
-        self._gather(1)
+        self._next(1)
 
     def _stop(self) -> None:
         self._send(STOP)
@@ -93,21 +93,11 @@ class Ft300(StreamDevice[Wrench]):
 
     # Within: all in the device's thread ------------------------------------------------------------------------------
 
-    def _gather(self, count: int) -> list[Wrench]:
-        """The next readings, a given number, which are published as well."""
-        found: list[Wrench] = []
-        until_ns = self._clock() + round((REPLY_S + 2.0 * count / RATE_HZ) * 1e9)
-        while len(found) < count and not self._closing.is_set() and self._clock() < until_ns:
-            for event, host_ns in self._listen(ROUND_S):
-                for reading in self._measure(event, host_ns):
-                    found.append(reading)
-                    self._publish(reading)
-        if len(found) < count:
-            raise NoReply(f"{count} readings", str(len(found)), "check 24 V supply, cable and port", self.name)
-        return found
+    def _next(self, count: int) -> list[Wrench]:
+        return self._gather(count, REPLY_S + 2.0 * count / RATE_HZ, "check 24 V supply, cable and port")
 
     def _zero(self) -> None:
-        counts = np.array([one.counts[0] for one in self._gather(STILL_READINGS)], float)
+        counts = np.array([one.counts[0] for one in self._next(STILL_READINGS)], float)
         varies = float(counts.std(axis=0).max())
         if varies > STILL_COUNTS:
             advice = "keep what touches the sensor at rest"

@@ -9,7 +9,7 @@ import numpy as np
 
 from deformscope_drivers.clock import Clock, ClockFit, Stamp, monotonic_ns
 from deformscope_drivers.device import ROUND_S, StreamDevice
-from deformscope_drivers.errors import NoReply, NotConnected, SettingsRefused
+from deformscope_drivers.errors import NotConnected, SettingsRefused
 from deformscope_drivers.health import Description, Identity
 from deformscope_drivers.interface import FloatArray, Wrench
 from deformscope_drivers.transport import Transport, UdpTransport
@@ -148,7 +148,7 @@ class NetftSensor(StreamDevice[Wrench]):
         self._clock_fit = ClockFit(1e9 / self.config.rate_hz)
         self._expect(self.config.rate_hz)
         self._send(request(Command.STREAM))
-        self._gather(1)
+        self._next(1)
 
     def _stop(self) -> None:
         self._send(request(Command.STOP))
@@ -194,23 +194,12 @@ class NetftSensor(StreamDevice[Wrench]):
         self._measurer.learn(page)
         self._page = page
 
-    def _gather(self, count: int) -> list[Wrench]:
-        """The next readings, a given number, which are published as well."""
-        found: list[Wrench] = []
+    def _next(self, count: int) -> list[Wrench]:
         wait_s = SILENCE_S + 2.0 * count / self.config.rate_hz
-        until_ns = self._clock() + round(wait_s * 1e9)
-        while len(found) < count and not self._closing.is_set() and self._clock() < until_ns:
-            for event, host_ns in self._listen(ROUND_S):
-                for reading in self._measure(event, host_ns):
-                    found.append(reading)
-                    self._publish(reading)
-        if len(found) < count:
-            advice = "check power, cable, address and firewall; is RDT enabled on its page?"
-            raise NoReply(f"{count} records within {wait_s:.3g} s", str(len(found)), advice, self.name)
-        return found
+        return self._gather(count, wait_s, "check power, cable, address and firewall; is RDT enabled on its page?")
 
     def _zero(self) -> None:
-        before = self._gather(STILL_READINGS)
+        before = self._next(STILL_READINGS)
         counts = np.array([one.counts[0] for one in before], float)
         if not all(one.usable for one in before):
             raise SettingsRefused("a sensor without faults", "a status with faults", "see its page", self.name)
@@ -219,4 +208,4 @@ class NetftSensor(StreamDevice[Wrench]):
             came = f"standard deviations of {np.array2string(varies, precision=3)} N and N m"
             raise SettingsRefused("a load at rest", came, "keep what touches the sensor at rest", self.name)
         self._send(request(Command.BIAS, 255 if isinstance(self.config, HexConfig) else 0))
-        self._gather(STILL_READINGS)
+        self._next(STILL_READINGS)
