@@ -27,7 +27,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from deformscope.arrays import FloatArray
+from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.fit.estimate import Doubt
 from deformscope.stages.fit.relaxation import ForceKept, RelaxationSeen, kept_of, relaxing
@@ -258,6 +258,16 @@ def fit_creep(
     )
 
 
+def drift_rate(
+    time_s: FloatArray, force_n: FloatArray, before: IntArray, after: IntArray, noise_n: float
+) -> tuple[float, float, float]:
+    """Time between the free air before and after a touch [s], rate of the force from one to the other [N/s], and its
+    deviation. before, after: numbers of the samples in air"""
+    apart_s = float(time_s[after].mean()) - float(time_s[before].mean())
+    rate = float(np.median(force_n[after]) - np.median(force_n[before])) / apart_s
+    return apart_s, rate, 1.25 * noise_n * float(np.hypot(len(before) ** -0.5, len(after) ** -0.5)) / apart_s
+
+
 def _air_drift(
     time_s: FloatArray, z_m: FloatArray, force_n: FloatArray, first: int, held: int, noise_n: float, set_force_n: float
 ) -> tuple[FloatArray, float, tuple[Doubt, ...]]:
@@ -268,9 +278,7 @@ def _air_drift(
     if min(len(before), len(after)) < AIR:
         return np.zeros_like(force_n), DRIFT_N_PER_S, ()
     began_s = float(time_s[before].mean())
-    apart_s = float(time_s[after].mean()) - began_s
-    rate = float(np.median(force_n[after]) - np.median(force_n[before])) / apart_s
-    rate_sd = 1.25 * noise_n * float(np.hypot(len(before) ** -0.5, len(after) ** -0.5)) / apart_s
+    apart_s, rate, rate_sd = drift_rate(time_s, force_n, before, after, noise_n)
     text = (
         f"the force drifted by {rate:+.2g} N/s from the free air before the touch to that after it, which is taken off"
     )

@@ -25,7 +25,7 @@ from deformscope.stages.poke.contact import (
     peak_rate,
     power_law,
 )
-from deformscope.stages.poke.creep import CreepFit, cycle_loss, fit_creep
+from deformscope.stages.poke.creep import CreepFit, cycle_loss, drift_rate, fit_creep
 from deformscope.stages.poke.tip_law import Ground, Indenter, TipLaw
 from deformscope.stages.regions.touch_error import LAW_SD
 
@@ -260,9 +260,7 @@ class SplitCurve:
             rate = float(away @ self.force_n[before] / (away @ away))
             rate_sd = self.noise_n / float(np.sqrt(away @ away))
         if len(before) >= AIR <= len(after):
-            apart = float(at[after].mean() - at[before].mean())
-            both = float(np.median(self.force_n[after]) - np.median(self.force_n[before])) / apart
-            both_sd = 1.25 * self.noise_n * float(np.hypot(len(before) ** -0.5, len(after) ** -0.5)) / apart
+            _, both, both_sd = drift_rate(at, self.force_n, before, after, self.noise_n)
             if not abs(both - rate) > 4.0 * np.hypot(both_sd, rate_sd):  # else the tip drags, or keeps something
                 rate, rate_sd = both, both_sd
         if np.isnan(rate):
