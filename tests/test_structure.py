@@ -1,6 +1,7 @@
 """Names mean one thing, functions stay short, and numbers that a robot moves by are documented with their source."""
 
 import ast
+import re
 import runpy
 from collections import defaultdict
 from collections.abc import Iterator
@@ -103,3 +104,17 @@ def test_the_picture_of_the_layers_is_drawn_from_the_whitelist() -> None:
     page = (ROOT / "docs" / "developers" / "architecture.md").read_text(encoding="utf-8")
     shown = page.split(tool["BEGIN"])[1].split(tool["END"])[0]
     assert shown == tool["drawing"](), "draw it again: python tools/layers.py --write"
+
+
+def test_arms_are_known_by_their_declaration_not_by_name() -> None:
+    """Any arm's package is used alike: names of arms stand in the laboratory, and in the example of a command."""
+    names = re.compile(r"(?<![a-z])(jacos?|kukas?|j2n6s300|kr6r900sixx)(?![a-z])", re.IGNORECASE)
+    kept = {ROOT / "deformscope" / "cli" / "examples.py"}
+    found = [
+        f"{path.relative_to(ROOT)}: {line.strip()}"
+        for path in sorted((ROOT / "deformscope").rglob("*.py"))
+        if path not in kept and "lab" not in path.relative_to(ROOT).parts
+        for line in path.read_text(encoding="utf-8").splitlines()
+        if names.search(line)
+    ]
+    assert not found, "\n".join(found)

@@ -81,7 +81,7 @@ COMMANDS: dict[str, Command] = {
     ),
     "certify": _command("find a rig's bias on a sample of known modulus", "CertifyConfig", "calibrate_setup", "arm"),
     "arm where": _command("the arm's pose: joints, end and tip", "WhereConfig", "arm", "where"),
-    "arm files": _command("write the files for a KUKA's controller", "FilesConfig", "arm", "files"),
+    "arm files": _command("write the files for an arm's controller", "FilesConfig", "arm", "files"),
     "arm home": _command("send the arm to its home pose", "HomeConfig", "arm", "home"),
     "arm go": _command("bring the tip over a place of the surface", "GoConfig", "arm", "go"),
     "arm jog": _command("move the tip by keys, in small steps", "JogConfig", "arm", "jog"),

@@ -9,7 +9,6 @@ from deformscope.log.layout import RIG
 from deformscope.rig.rig_file import load_rig
 from deformscope.robot.setup import only_device
 from deformscope.runs import arm_commands
-from deformscope_drivers.kuka.config import KukaConfig, controller_files
 
 
 def where(config: WhereConfig) -> None:
@@ -32,14 +31,14 @@ def where(config: WhereConfig) -> None:
 
 
 def files(config: FilesConfig) -> None:
-    """Write the files for a KUKA's controller."""
+    """Write the files for an arm's controller."""
     entry = only_device(load_rig(config.rig, trusted=config.trust_rig), "arm", "to set up")
-    if not isinstance(entry.config, KukaConfig):
-        raise InputError('an arm with driver = "kuka"', f"[devices.{entry.name}] of another driver")
+    if entry.driver.controller_files is None:
+        raise InputError("an arm with files for its controller", f"[devices.{entry.name}], whose driver has none")
     config.out.mkdir(parents=True, exist_ok=True)
-    for name, text in controller_files(entry.config).items():
+    for name, text in entry.driver.controller_files(entry.config).items():
         (config.out / name).write_text(text, "utf-8")
-    say("no controller has run these files: read docs/howto/set-up-a-kuka.md, and try them in mode T1 first")
+    say("no controller has run these files: read the driver's documentation, and try them at reduced speed (T1) first")
 
 
 def home(config: HomeConfig) -> None:

@@ -24,8 +24,8 @@ class WhereConfig(CommandOptions):
 
 @dataclass(frozen=True, slots=True)
 class FilesConfig(CommandOptions):
-    """Write the files that set up a KUKA's controller for a rig: program, signals and network. They hold the rig file's
-    address, port, cycle and speed limit. Nothing is opened, nothing moves."""
+    """Write the files that set up an arm's controller for a rig, where its driver has any: program, signals, network.
+    They hold the rig file's address, port, cycle and speed limit. Nothing is opened, nothing moves."""
 
     rig: flags.RigFlag
     """A rig file (.toml)."""

@@ -49,17 +49,17 @@ class SqueezeConfig(RecordedOptions):
     """Name of the session; default: today's date, in the laboratory lab-0."""
     operator: NameFlag = ""
     """Name of the operator; stored with the trial."""
-    place: Literal["person", "jaco", "kuka"] = "person"
-    """How the hand reaches the container: by a person, or by the arm of this kind that carries it. An arm finds the
+    place: Annotated[NameFlag, arg(metavar="person|ARM")] = "person"
+    """How the hand reaches the container: by a person, or by the arm of this driver that carries it. An arm finds the
     container in the depth image, draws a reachable grasp from --seed, approaches on a checked path, and withdraws after
-    the squeeze. The laboratory has either arm; a rig file needs [hand] T_arm_hand, [camera] T_arm_camera, [surface]
+    the squeeze. The laboratory has several arms; a rig file needs [hand] T_arm_hand, [camera] T_arm_camera, [surface]
     T_arm_surface and the box of [workspace]."""
     grasp: Annotated[
         tuple[float, float, float] | None,
         flags.one_word("MM,DEG,DEG", flags.numbers("along in mm,tilt,turn in degrees", "5,0,180"), flags.joined(",")),
         flags.unset,
     ] = None
-    """With --place jaco or kuka: grasp at this place instead of a random one. Height above the middle of the longest
+    """With --place ARM: grasp at this place instead of a random one. Height above the middle of the longest
     edge [mm], tilt about the axis of closing, and turn about the upright [deg]."""
     yes: bool = False
     """Let a real hand close, and a real arm place it, without asking."""
@@ -74,7 +74,7 @@ class SqueezeConfig(RecordedOptions):
         if self.paused and self.output.viewer != "page":
             raise InputError("--paused with --viewer page", f"--viewer {self.output.viewer}", "--viewer page")
         if self.grasp is not None and self.place == "person":
-            raise InputError("--grasp with --place jaco or kuka", "--place person", "--place jaco")
+            raise InputError("--grasp with the driver of an arm after --place", "--place person")
         if not self.model and not self.content:
             raise InputError("--content NAME, or --model MODEL to name it", "neither")
         if self.dataset is not None and not (self.content and self.container):

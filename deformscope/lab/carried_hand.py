@@ -12,9 +12,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from deformscope.arrays import FloatArray
-from deformscope.errors import InputError
 from deformscope.lab.arm_contact import ARM_CYCLE_NS
-from deformscope.lab.arms import ArmInLab
 from deformscope.lab.container_constants import TABLE_FRICTION
 from deformscope.lab.container_shell import ContainerShape
 from deformscope.lab.container_view import PALM, ContainerView, finger_capsules
@@ -32,7 +30,7 @@ from deformscope_drivers.clock import Clock
 from deformscope_drivers.depth_camera import View
 from deformscope_drivers.device import Device
 from deformscope_drivers.dsa.pads import Pad, Part
-from deformscope_drivers.interface import DRIVERS
+from deformscope_drivers.interface import DRIVERS, ArmInLab
 from deformscope_drivers.jaco import Jaco, JacoConfig, JacoDouble
 from deformscope_drivers.jaco.chains import J2N6S300
 from deformscope_drivers.kuka import Kuka, KukaConfig, KukaDouble
@@ -215,8 +213,6 @@ class CarriedHandLab(SqueezeLab):
 
     def __init__(self, arm: str, placement: Placement, case: ContainerCase, camera_hz: float) -> None:
         self._driver, self.placement = arm, placement
-        if arm not in T_BASE_TABLE:
-            raise InputError("an arm of the laboratory: jaco or kuka", repr(arm))
         self.chain = J2N6S300 if arm == "jaco" else KUKA[KukaConfig().model]
         self.functions: Spoiled | None = None
         self.wire: MemoryTransport | None = None

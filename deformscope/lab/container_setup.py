@@ -96,7 +96,9 @@ def _carried(
     """The container is on a table, and an arm carries the hand: the parked thumb is above it."""
     middle = transform(np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]), GripShape.of(section, squeeze).middle_m)
     section = dataclasses.replace(section, T_hand_container=tuple(tuple(map(float, row)) for row in middle))
-    T_base_table = carried_hand.T_BASE_TABLE[arm]
+    T_base_table = carried_hand.T_BASE_TABLE.get(arm)
+    if T_base_table is None:
+        raise InputError(f"--place {' or '.join(carried_hand.T_BASE_TABLE)} in lab:containers", repr(arm))
     placement = Placement(T_base_table, hand_tool(carried_hand.T_ARM_HAND, GripShape.of(section, squeeze)))
     lab = carried_hand.CarriedHandLab(arm, placement, ContainerCase(content, container, seed, session), camera_hz)
     lens = lab.view.intrinsics

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from deformscope.errors import InputError
 from deformscope.lab.arm_contact import ARM_CYCLE_NS, ArmContact
-from deformscope.lab.arms import ArmBody, arm_in_lab
+from deformscope.lab.arms import arm_in_lab
 from deformscope.lab.depth_view import DepthView
 from deformscope.lab.layer_world import LayerWorld
 from deformscope.lab.randomized_rig import BoardPicture, RandomizedRig
@@ -36,7 +36,7 @@ from deformscope_drivers.depth_camera import SyntheticDepthCamera, View
 from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig
 from deformscope_drivers.device import Device
 from deformscope_drivers.errors import DeviceError
-from deformscope_drivers.interface import DRIVERS
+from deformscope_drivers.interface import DRIVERS, ArmBody
 from deformscope_drivers.pacing import SENDING, be_prompt
 from deformscope_drivers.wires import reaching, wire_for
 

@@ -14,13 +14,13 @@ from scipy.spatial.transform import Rotation
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.lab.arms import ArmBody
 from deformscope.lab.ray_camera import looking_at
 from deformscope.rig.rig_file import Tool
 from deformscope.robot.placement import Placement
 from deformscope.robot.setup import T_BASE_SURFACE
 from deformscope_drivers.arm.kinematics import transform
 from deformscope_drivers.images import Intrinsics
+from deformscope_drivers.interface import ArmBody
 from deformscope_drivers.jaco import JacoDouble
 from deformscope_drivers.manual_arm import StandDouble
 

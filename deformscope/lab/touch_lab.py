@@ -14,7 +14,6 @@ import numpy as np
 import numpy.typing as npt
 
 from deformscope.lab.arm_contact import ARM_CYCLE_NS, ARM_STIFFNESS_N_M, ArmContact, World
-from deformscope.lab.arms import ArmInLab
 from deformscope.rig.rig_file import Tool
 from deformscope.robot.placement import Placement
 from deformscope.robot.setup import T_BASE_SURFACE
@@ -23,6 +22,7 @@ from deformscope_drivers.depth_camera import SyntheticDepthCamera
 from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig, View
 from deformscope_drivers.device import Device
 from deformscope_drivers.errors import DeviceError
+from deformscope_drivers.interface import ArmInLab
 from deformscope_drivers.jaco import Jaco, JacoConfig, JacoDouble
 from deformscope_drivers.jaco.chains import CHAINS
 from deformscope_drivers.jaco.structures import AngularInfo, PositionType, actuator_values

@@ -85,7 +85,7 @@ class SqueezeParts:
             only_device(rig, "hand", use),
             only_device(rig, "tactile", use, rig.hand.tactile),
             only_device(rig, "depth", use) if cameras else None,
-            only_device(rig, "arm", "for [hand] T_arm_hand", driver="jaco" if place == "person" else place)
+            only_device(rig, "arm", "for [hand] T_arm_hand", driver="" if place == "person" else place)
             if carried or place != "person"
             else None,
             draw_grasp(rig.container, rig.squeeze, seed),
@@ -214,10 +214,10 @@ def lacks_to_place(rig: Rig) -> list[str]:
 def placing_of(parts: SqueezeParts) -> PlacingSetup:
     """The arm of a rig that places its hand. Raises InputError for an arm with unknown joints."""
     rig, arm = parts.rig, parts.arm
-    chain = None if arm is None else arm.driver.chains().get(getattr(arm.config, "model", None) or "")
+    chain = None if arm is None else arm.driver.chain(arm.config)
     T_arm_hand, T_base_table = _transform(rig.hand.T_arm_hand), _transform(rig.surface.T_arm_surface)
     if chain is None or T_arm_hand is None or T_base_table is None:
-        raise InputError('model = "..." of the arm, for --place', "none", 'model = "j2n6s300"', rig.name)
+        raise InputError("an arm with joints that are known, for --place", "none", "--place person", rig.name)
     tool = hand_tool(T_arm_hand, GripShape.of(rig.container, rig.squeeze))
     return PlacingSetup(
         chain, Placement(np.asarray(T_base_table, np.float64), tool), rig.workspace, dict(rig.calibrated.ages())

@@ -63,7 +63,7 @@ class ForceControl:
 
 
 PERIOD_S = 0.01
-"""A control period: the Jaco takes one velocity in each (Kinova's library, `readings.PERIOD_NS`)."""
+"""A control period: an arm takes one velocity in each (`readings.PERIOD_NS`)."""
 
 
 class Phase(StrEnum):

@@ -209,7 +209,7 @@ def squeeze_setup_of(
     name: str, content: str, container: str, session: str, seed: int, *, trusted: bool, place: str = "person"
 ) -> SqueezeOpening:
     """The setup of lab:containers or of a rig file, whose doubles squeeze a simulated container. content, container:
-    empty = drawn, where they are simulated; place: who places the hand: person, jaco or kuka"""
+    empty = drawn, where they are simulated; place: who places the hand: person, or the driver of an arm"""
     if name == CONTAINERS:
         from deformscope.lab.container_setup import container_lab
 

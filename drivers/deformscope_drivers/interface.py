@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from deformscope_drivers.clock import Stamp
+from deformscope_drivers.clock import Clock, Stamp
 from deformscope_drivers.doubles import Double
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.framing import FrameDecoder
@@ -30,6 +30,7 @@ from deformscope_drivers.health import Description
 from deformscope_drivers.health import PadLayout as PadLayout
 
 if TYPE_CHECKING:
+    from deformscope_drivers.arm import Arm
     from deformscope_drivers.arm.kinematics import Chain
     from deformscope_drivers.device import Device
 
@@ -108,6 +109,31 @@ class TactileArray(Protocol):
         """(rows, columns) pressure on the texels of each pad [Pa]."""
 
 
+class ArmBody(Protocol):
+    """A simulated arm, which moves as its device commands it."""
+
+    @property
+    def T_base_links(self) -> FloatArray:
+        """Present poses (k, 4, 4) of its joints and, last, of its end effector in the base frame [m]."""
+
+    @property
+    def T_base_end_effector(self) -> FloatArray:
+        """(4, 4) pose of the end effector [m]."""
+
+    def push(self, wrench: npt.ArrayLike) -> None:
+        """From now on (6,) force and torque act on the end effector, in the base frame [N, N m]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArmInLab:
+    """A simulated arm among other simulated things. arm: the driver's device, not opened; wire: connection of device
+    and double, entered before the arm is opened; None = no thread or process runs"""
+
+    arm: "Arm[Any]"
+    body: ArmBody
+    wire: AbstractContextManager[Any] | None = None
+
+
 # A package's drivers --------------------------------------------------------------------------------------------------
 
 Scene = Callable[[float], Any]
@@ -184,8 +210,11 @@ class DeviceDriver:
     redecoder: makes readings from its recorded bytes; None = it exchanges none
     lacks: what a configuration lacks for values in SI units, in words; empty = nothing; complete: the same
     configuration with what it lacks, as that of the double; example: makes a configuration, None = of its defaults
-    chains: an arm's kinematics by `config.model`; probed: it can be opened with only its port or bus, without a
-    motion; interface: version of this interface; name: that of its entry point, set where it is found"""
+    chains: an arm's kinematics by `config.model`, first that of a configuration without a model; none = a person places
+    it; in_lab: makes a simulated arm for a configuration, first joint angles (n,) [deg], None = any, and a clock;
+    controller_files: name and text of each file that sets up its controller
+    probed: it can be opened with only its port or bus, without a motion; interface: version of this interface; name:
+    that of its entry point, set where it is found"""
 
     kind: Kind
     config: type[Any]
@@ -197,6 +226,8 @@ class DeviceDriver:
     complete: Callable[[Any], Any] = _as_it_is
     example: Callable[[], Any] | None = None
     chains: "Callable[[], Mapping[str, Chain]]" = _no_chains
+    in_lab: Callable[[Any, FloatArray | None, Clock], ArmInLab] | None = None
+    controller_files: Callable[[Any], Mapping[str, str]] | None = None
     probed: bool = False
     interface: int = VERSION
     name: str = ""
@@ -210,6 +241,11 @@ class DeviceDriver:
     def doubled(self) -> bool:
         """Whether it has a double."""
         return self.double is not None or self.simulated is not None
+
+    def chain(self, config: Any) -> "Chain | None":
+        """The chain of joints of an arm with this configuration; None where a person places it."""
+        chains = self.chains()
+        return chains[config.model or next(iter(chains))] if chains else None
 
 
 class Drivers(Mapping[str, DeviceDriver]):

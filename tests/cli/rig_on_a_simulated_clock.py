@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from deformscope.lab.arms import ArmBody, arm_in_lab
+from deformscope.lab.arms import arm_in_lab
 from deformscope.lab.depth_view import DepthView
 from deformscope.lab.layer_world import LayerWorld
 from deformscope.lab.live_lab import CAMERA, start_places_m
@@ -26,6 +26,7 @@ from deformscope.robot.setup import Setup, Truth, rig_setup
 from deformscope_drivers.depth_camera import View
 from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig
 from deformscope_drivers.device import Device
+from deformscope_drivers.interface import ArmBody
 from deformscope_drivers.memory import SimulatedClock
 from deformscope_drivers.optoforce.double import OMD_20_SE_40N
 

@@ -36,6 +36,11 @@ def test_an_arm_that_a_rig_lacks_is_named(tmp_path: Path, capsys: Capture) -> No
         assert missing in said
 
 
+def test_an_arm_that_the_laboratory_lacks_is_named(capsys: Capture) -> None:
+    assert main(["squeeze", "lab:containers", "--content", "rice", "--place", "franka"]) == 2
+    assert "expected --place jaco or kuka in lab:containers; got 'franka'" in capsys.readouterr().err
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("arm", ["jaco", "kuka"])
 def test_it_is_recorded_and_replayed_to_the_last_bit(arm: str, tmp_path: Path) -> None:

@@ -7,8 +7,9 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
+from deformscope_drivers.clock import Clock
 from deformscope_drivers.device import Device
-from deformscope_drivers.interface import DeviceDriver, Scene
+from deformscope_drivers.interface import ArmInLab, DeviceDriver, FloatArray, Scene
 from deformscope_drivers.jaco.chains import CHAINS
 from deformscope_drivers.jaco.config import JacoConfig
 from deformscope_drivers.jaco.device import Jaco, open_jaco
@@ -70,4 +71,9 @@ def _simulated(config: JacoConfig, scene: Scene | None) -> Iterator[Device[Any]]
         yield Led(config, arm)
 
 
-DRIVER = DeviceDriver("arm", JacoConfig, open_jaco, simulated=_simulated, chains=lambda: CHAINS)
+def _in_lab(config: JacoConfig, start_deg: FloatArray | None, clock: Clock) -> ArmInLab:
+    double = JacoDouble(config.model or "j2n6s300", clock, start_deg=start_deg)
+    return ArmInLab(Jaco(config, double, clock=clock), double)
+
+
+DRIVER = DeviceDriver("arm", JacoConfig, open_jaco, simulated=_simulated, chains=lambda: CHAINS, in_lab=_in_lab)

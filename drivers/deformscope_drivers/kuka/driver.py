@@ -5,12 +5,14 @@ import dataclasses
 from collections.abc import Iterator
 from typing import Any
 
+from deformscope_drivers.clock import Clock
 from deformscope_drivers.device import Device
-from deformscope_drivers.interface import DeviceDriver, Scene
-from deformscope_drivers.kuka.config import CHAINS, KukaConfig
-from deformscope_drivers.kuka.device import open_kuka
+from deformscope_drivers.interface import ArmInLab, DeviceDriver, FloatArray, Scene
+from deformscope_drivers.kuka.config import CHAINS, KukaConfig, controller_files
+from deformscope_drivers.kuka.device import Kuka, open_kuka
 from deformscope_drivers.kuka.double import KukaDouble
 from deformscope_drivers.kuka.port import UdpWire, free_port
+from deformscope_drivers.memory import MemoryTransport, SimulatedClock
 from deformscope_drivers.wires import LOOPBACK
 
 
@@ -21,4 +23,23 @@ def _simulated(config: KukaConfig, scene: Scene | None) -> Iterator[Device[Any]]
         yield open_kuka(dataclasses.replace(config, address=LOOPBACK, port=port, controller=""))
 
 
-DRIVER = DeviceDriver("arm", KukaConfig, open_kuka, simulated=_simulated, chains=lambda: CHAINS)
+def _in_lab(config: KukaConfig, start_deg: FloatArray | None, clock: Clock) -> ArmInLab:
+    """On the host's clock behind a port of this host, and answered as a controller is."""
+    double = KukaDouble(config.model, start_deg=start_deg, cycle_s=config.cycle_s, again_s=0.5)
+    double.sends_currents = True
+    if isinstance(clock, SimulatedClock):
+        return ArmInLab(Kuka(config, MemoryTransport(double, clock, "simulated KUKA"), clock=clock), double)
+    port = free_port()
+    here = dataclasses.replace(config, address=LOOPBACK, port=port, controller="")
+    return ArmInLab(open_kuka(here), double, UdpWire(double, port))
+
+
+DRIVER = DeviceDriver(
+    "arm",
+    KukaConfig,
+    open_kuka,
+    simulated=_simulated,
+    chains=lambda: CHAINS,
+    in_lab=_in_lab,
+    controller_files=controller_files,
+)
