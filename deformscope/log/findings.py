@@ -14,7 +14,7 @@ from deformscope.log.canvas import Canvas, deep_bar, log_color_bar, log_deep_leg
 from deformscope.log.layout import PictureLayout
 from deformscope.log.rig.blueprint import blueprint_of
 from deformscope.pictures.palette import Rgb, colors, round_up
-from deformscope.pictures.report import ColoredBody, Findings, table_markdown
+from deformscope.pictures.report import ColoredBody, Figure, Findings, table_markdown
 from deformscope.plain import plain
 from deformscope.rows import to_components
 from deformscope.stages.see.triangulation import spacing_of
@@ -43,7 +43,7 @@ def log_findings(rec: rr.RecordingStream, found: Findings, below: rrb.Blueprint 
     """Log pictures, bodies, the tables as Markdown for people and as JSON for programs, and their views. below:
     existing views"""
     for number, figure in enumerate(found.figures):
-        rec.log(f"found/picture/{number}", rr.EncodedImage(contents=figure.png, media_type="image/png"))
+        _log_picture(rec, figure, f"found/picture/{number}")
     for number, body in enumerate(found.bodies):
         _log_body(rec, body, f"found/body/{number}", f"found/body/{number}/legend", _around(body))
     _log_tables(rec, found, "found/tables")
@@ -56,8 +56,7 @@ def log_evidence(rec: rr.RecordingStream, found: Findings, canvas: Canvas) -> No
     _log_tables(rec, found, "calibration/summary", whole=whole)
     if not found.figures:
         return
-    chart = rr.EncodedImage(contents=found.figures[0].png, media_type="image/png")
-    rec.log("calibration/chart", chart, static=whole)
+    _log_picture(rec, found.figures[0], "calibration/chart", whole=whole)
     layout: PictureLayout = "images" if whole else "pair" if canvas.flat else "pair-3d"
     caption = ""
     for body in found.bodies[:1]:
@@ -72,6 +71,11 @@ def log_numbers(rec: rr.RecordingStream, estimate: object, canvas: Canvas) -> No
     kind = type(estimate).__name__
     numbers = rr.DynamicArchetype(kind, components=to_components(estimate))
     rec.log("calibration/estimate", numbers, static=bool(canvas.image))
+
+
+def _log_picture(rec: rr.RecordingStream, figure: Figure, path: str, *, whole: bool = False) -> None:
+    image = rr.EncodedImage(contents=figure.png, media_type="image/png")
+    rec.log(path, image, rr.AnyValues(caption=figure.caption), static=whole)
 
 
 def _log_tables(rec: rr.RecordingStream, found: Findings, path: str, *, whole: bool = False) -> None:

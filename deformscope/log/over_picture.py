@@ -30,6 +30,7 @@ from deformscope.stages.materials.field_estimate import FieldEstimate
 from deformscope.stages.materials.recovery import RecoveryEstimate
 from deformscope.stages.materials.yield_estimate import YieldEstimate
 from deformscope.stages.msm.state_sweep import StateSweep, StateSweeps
+from deformscope.stages.poke.indentation import IndentEstimate
 from deformscope.stages.see.flow import FlowField
 from deformscope.stages.see.particles import ParticleGrid, Tracked
 from deformscope.stages.see.triangulation import spacing_of
@@ -117,12 +118,13 @@ FLOW, PARTICLES, TRACKING, SIMULATION, ESTIMATE, FINDINGS = (
         ("findings", "tables and pictures", "found/tables"),
     )
 )
+CURVES = ShownStage("curves", 4, "modulus by each curve", entity="calibration/estimate", when="indented")
 OF_APPLICATION: dict[str | None, tuple[type, ...]] = {
     "images": (FlowField, ParticleGrid, Tracked, Comparison, Estimate),
     "flow": (FlowField,),
     "pair": (Comparison, Estimate),
     "pair-3d": (Comparison, Estimate),
-    None: (Findings,),
+    None: (Findings, IndentEstimate),
 }
 """The types of result that recordings of each layout hold."""
 
@@ -147,6 +149,7 @@ def picture_views(canvas: Canvas) -> Views[rr.RecordingStream]:
         Findings: (FINDINGS, findings),
         RigFindings: (FINDINGS, lambda rec, one: log_findings(rec, one.found, rig_blueprint(one.streams))),
         StateSweeps: (ShownStage("states", 3, "static, over beta and theta (fig. 3.7)", entity="plot"), log_states),
+        IndentEstimate: (CURVES, partial(log_numbers, canvas=canvas)),
         **dict.fromkeys((AxisEstimate, FieldEstimate, YieldEstimate, RecoveryEstimate), numbers),
     }
 

@@ -145,10 +145,10 @@ class Replay:
         found = self.read_inputs().get("mask")
         return None if found is None else decode_image(found, self.path)
 
-    def read_pair_bytes(self) -> list[bytes]:
-        """The pair files, unchanged, in the order of their names."""
+    def read_numbered(self, kind: str) -> list[bytes]:
+        """The inputs `KIND/NUMBER`, such as pair files, unchanged, in the order of their numbers."""
         found = self.read_inputs()
-        return [found[name] for name in sorted(found, key=_natural) if name.split("/")[0] == "pair"]
+        return [found[name] for name in sorted(found, key=_natural) if name.split("/")[0] == kind]
 
     def read_inputs(self) -> dict[str, bytes]:
         """Inputs that are no frames, in the order of their names."""

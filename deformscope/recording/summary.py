@@ -22,6 +22,7 @@ from deformscope.stages.materials.axis_estimate import AxisEstimate
 from deformscope.stages.materials.field_estimate import FieldEstimate
 from deformscope.stages.materials.recovery import RecoveryEstimate
 from deformscope.stages.materials.yield_estimate import YieldEstimate
+from deformscope.stages.poke.indentation import IndentEstimate, combine
 from deformscope.stages.squeeze.events import SqueezeEvents
 from deformscope.stages.squeeze.trial import ContentPosterior
 
@@ -133,3 +134,5 @@ def _estimates(replay: Replay) -> Iterator[dict[str, Any]]:
         if found := read_found(replay, kind):
             yield cells_of(found[-1].as_json())
             return
+    if curves := read_found(replay, IndentEstimate):
+        yield cells_of(combine(curves) if len(curves) > 1 else curves[0])

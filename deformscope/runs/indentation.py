@@ -4,16 +4,19 @@ import fnmatch
 import itertools
 import re
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
+import msgspec
 import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.config.indent import IndentConfig
+from deformscope.config.options import ViewOptions
 from deformscope.errors import InputError
-from deformscope.frames import ArmFrame, WrenchFrame
+from deformscope.files.arrays_file import read_arrays
+from deformscope.frames import ArmFrame, InputFile, WrenchFrame
 from deformscope.imports.frame_builder import SI, TIME_NS
 from deformscope.imports.import_map import read_map
 from deformscope.imports.readers import Reader, open_reader
@@ -23,11 +26,13 @@ from deformscope.pictures.figures import COLOURS, canvas, png_of
 from deformscope.pictures.messages import reason_rows
 from deformscope.pictures.report import Figure, Section, Table, html_report
 from deformscope.plain import Json, plain
-from deformscope.recording.items import read_items, read_results
+from deformscope.recording.items import read_found, read_items, read_results
+from deformscope.recording.reader import Replay
 from deformscope.results.declared import quantities
 from deformscope.results.render import ReportedResult, Rows, to_rows
 from deformscope.runs.calibration_report import provenance_sections, settings_section
 from deformscope.runs.force_log import UNITS, unit_of
+from deformscope.runs.pair_calibration import arrays_bytes
 from deformscope.runs.result import SourceResult, open_recorder
 from deformscope.session import Step
 from deformscope.stages.map.exploration import TouchEstimate
@@ -130,13 +135,33 @@ def indent(config: IndentConfig, arrays: Sequence[CurveArrays] = ()) -> IndentRe
         curves = [_of_arrays(one, name) for one, name in zip(arrays, config.sources, strict=True)]
     else:
         curves = [curve for source in config.sources for curve in curves_of(Path(source), config)]
+    return _fitted(curves, sample, {"command": "indent", **cast("dict[str, object]", plain(config))}, config.output)
+
+
+def _fitted(
+    curves: Sequence[IndentCurve], sample: IndentSample, settings: Mapping[str, object], output: ViewOptions
+) -> IndentResult:
+    """The same for a first run and for its replay."""
     found = tuple(fit_indentation(one, sample) for one in curves)
-    settings = {"command": "indent", **cast("dict[str, object]", plain(config))}
     together = combine(found) if len(found) > 1 else None
     result = IndentResult(sample=sample, curves=found, together=together, settings=settings)
-    with open_recorder(config.output, settings, FINDINGS.variant("indent")) as recorder:
+    with open_recorder(output, {**settings, "indented": asdict(sample)}, FINDINGS.variant("indent")) as recorder:
+        for number, (curve, one) in enumerate(zip(curves, found, strict=True)):
+            given = {name: value for name, value in asdict(curve).items() if value is not None}
+            recorder.write(InputFile(f"curve/{number}", arrays_bytes(**given)))
+            recorder.write(Step((one,), frame=number))
         recorder.write(Step((result.findings(),), frame=0))
     return replace(result, recording=recorder.summary())
+
+
+def replay_indent(recording: Replay, output: ViewOptions) -> tuple[list[IndentEstimate], IndentResult]:
+    """The recorded estimates, and a new fit to the recorded curves."""
+    settings, curves = dict(recording.settings), list[IndentCurve]()
+    sample = msgspec.convert(settings.pop("indented"), IndentSample)
+    for raw in recording.read_numbered("curve"):
+        given: dict[str, Any] = read_arrays(raw, "a recorded curve", recording.path)
+        curves.append(IndentCurve(**{**given, "name": str(given["name"])}))
+    return read_found(recording, IndentEstimate), _fitted(curves, sample, settings, output)
 
 
 def _of_arrays(given: CurveArrays, name: str) -> IndentCurve:

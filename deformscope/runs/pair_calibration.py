@@ -42,7 +42,7 @@ def arrays_bytes(**arrays: object) -> bytes:
 
 def recorded_pairs(recording: Replay) -> list[tuple[str, bytes]]:
     """The pair files in a recording, by name and content."""
-    return [(f"{recording.path}, pair {index}", raw) for index, raw in enumerate(recording.read_pair_bytes())]
+    return [(f"{recording.path}, pair {index}", raw) for index, raw in enumerate(recording.read_numbered("pair"))]
 
 
 def parse_files(

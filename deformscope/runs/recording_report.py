@@ -1,5 +1,6 @@
 """A recording as a report: figures of the thesis's chapters 2 to 4 from its content, and a list of missing ones."""
 
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +20,7 @@ from deformscope.pictures.report import Figure, Part, ReportVerdict, Section, Ta
 from deformscope.plain import Json
 from deformscope.recording.item_rows import Row, read_rows
 from deformscope.recording.items import read_estimates, read_stage_results
-from deformscope.recording.reader import Replay
+from deformscope.recording.reader import BLOB, Replay
 from deformscope.recording.stages import RecordedStage, recorded_stages
 from deformscope.robot.squeeze_plan import CLOSING_AXES
 from deformscope.runs.result import LibraryResult
@@ -69,7 +70,8 @@ class RecordingReport(LibraryResult):
 
     def figures(self) -> tuple[Figure, ...]:
         parts = (part for section in self.sections for part in section.parts)
-        return tuple(one for part in parts for one in (part if isinstance(part, tuple) else [part]))  # type: ignore[misc]
+        every = (one for part in parts for one in (part if isinstance(part, tuple) else [part]))
+        return tuple(one for one in every if isinstance(one, Figure))
 
     def tables(self) -> tuple[Table, ...]:
         return (Table([("holds", self.words)], caption=str(self.recording)), *stage_tables(self.stages))
@@ -91,6 +93,8 @@ def report_recording(path: Path) -> RecordingReport:
     kinds: dict[str, Callable[[Replay], Drawn]] = {EXPLORATION.name: _exploration, SQUEEZE.name: _squeeze}
     draw = kinds.get(replay.identity[0]) or (_rig if "rig" in replay.settings else _fits)
     words, sections = draw(replay)
+    if found := _found(replay):
+        words, sections = found[0], [*found[1], *sections]
     drawn = tuple(one for one in sections if one.parts)
     return RecordingReport(path, words, tuple(recorded_stages(path)), drawn)
 
@@ -240,6 +244,23 @@ def _rig(replay: Replay) -> Drawn:
     label = "time since the first result's frame [s]"
     figures = [Figure(curves_png(panels, label), "results of the stages, and their lag")] if panels else []
     return words, [Section("Stages over time", figures)]
+
+
+def _found(replay: Replay) -> Drawn | None:
+    """The tables and pictures of a command, as they were recorded."""
+    figures, tables = list[Figure](), list[Table]()
+    for chunk in replay.chunks("/found/picture/**", "/found/tables", "/calibration/chart", "/calibration/summary"):
+        batch = chunk.to_record_batch()
+        names = [one for one in (BLOB, "caption", "json") if one in batch.schema.names]
+        for row in batch.select(names).to_pylist():
+            if row.get(BLOB) and row.get("caption"):
+                figures.append(Figure(bytes(row[BLOB][0]), row["caption"][0]))
+            elif row.get("json"):
+                tables += [Table(**one) for one in json.loads(row["json"][0])]
+    if not tables:
+        return None
+    first = " ".join(map(str, tables[-1].rows[0]))
+    return f"{tables[-1].caption}: {first}", [Section("Result", [*figures, *tables])]
 
 
 def _fits(replay: Replay) -> Drawn:

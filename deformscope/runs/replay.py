@@ -21,6 +21,7 @@ from deformscope.terminal import Progress
 if TYPE_CHECKING:
     from deformscope.files.sources import Source
     from deformscope.stages.fit.estimate import Estimate
+    from deformscope.stages.poke.indentation import IndentEstimate
 
 CUT_SHORT = "the recording holds no result (its run was interrupted): nothing to compare"
 
@@ -50,13 +51,14 @@ def replay_on(config: ReplayConfig, progress: Progress | None = None) -> ReplayR
         raise InputError("--set with a recorded exploration", "a recording of another kind", where=config.recording)
     if "rig" in settings:
         return _replay_rig(recording)
-    recorded, found = (_material if "material" in settings else _fits)(recording, config, progress)
+    again = _material if "material" in settings else _curves if "indented" in settings else _fits
+    recorded, found = again(recording, config, progress)
     every = [one.to_dict() for one in found]
     result = ReplayResult(every[0] if len(every) == 1 else every, tuple(found), CUT_SHORT)
     if not recorded:
         return result
-    estimates = [one.estimate for one in found]
-    distance = None if "material" in settings else _distance
+    estimates = found[0].curves if "indented" in settings else [one.estimate for one in found]
+    distance = None if "material" in settings else _apart if "indented" in settings else _distance
     try:  # the settings name the machine's own device
         worst = compare(recorded, estimates, config.recording, lambda before: ("settings",), distance=distance)
     except Different as error:
@@ -83,6 +85,14 @@ def _material(
 
     recorded, found = replay_material(recording, _frames(recording, config), config.output, progress=progress)
     return recorded[:1], [found]
+
+
+def _curves(recording: Replay, config: ReplayConfig, progress: Progress | None) -> tuple[Sequence[Any], Sequence[Any]]:
+    """Moduli by curves, as recorded and computed again."""
+    from deformscope.runs.indentation import replay_indent
+
+    recorded, found = replay_indent(recording, config.output)
+    return recorded, [found]
 
 
 def _fits(recording: Replay, config: ReplayConfig, progress: Progress | None) -> tuple[Sequence[Any], Sequence[Any]]:
@@ -117,7 +127,7 @@ def _fits(recording: Replay, config: ReplayConfig, progress: Progress | None) ->
     if fit.model.device != "cpu":  # the recording's GPU may not be here
         fit = dataclasses.replace(fit, model=dataclasses.replace(fit.model, device=pick_device("auto")))
     recorded = read_estimates(recording)
-    if not (pairs := recording.read_pair_bytes()):
+    if not (pairs := recording.read_numbered("pair")):
         with _frames(recording, config) as source:
             given = source, recording.mask, fit, particles, settings, config.output, select, progress
             return recorded, [run_images(*given, push, kept_force(recording))]
@@ -143,6 +153,12 @@ def _distance(before: "Estimate", now: "Estimate") -> float:
     ends = zip((before.value, low, high), (now.value, *now.interval), strict=True)
     errors = ((before.aee, now.aee), (before.aee_free, now.aee_free))
     return max(*(abs(b - n) / width for b, n in ends), *(abs(b - n) / max(abs(b), 1e-12) for b, n in errors))
+
+
+def _apart(before: "IndentEstimate", now: "IndentEstimate") -> float:
+    """As `_distance`, of moduli."""
+    (value, low, high), again = ((one.modulus_pa, *one.modulus_interval_pa) for one in (before, now))
+    return max(abs(a - b) for a, b in zip((value, low, high), again, strict=True)) / (high - low)
 
 
 def _align(first: Replay, second: Replay, config: ReplayConfig) -> ReplayResult:

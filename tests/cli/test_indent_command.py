@@ -224,6 +224,34 @@ def test_a_map_gives_the_force_and_the_pose_of_others(tmp_path: Path, capsys: Ca
         assert one["modulus_pa"] == pytest.approx(YOUNG, rel=0.03)
 
 
+def test_a_recording_is_replayed_drawn_and_listed(tmp_path: Path, capsys: Capture, monkeypatch: Any) -> None:
+    """The source may be gone: its curves are in the recording."""
+    header = "time [s],depth [m],force [N]"
+    paths = [write(tmp_path / f"{one}.csv", header, *curve(one)) for one in range(2)]
+    record, page, again = tmp_path / "r.rrd", tmp_path / "r.html", tmp_path / "again.rrd"
+    first = found([*map(str, paths), *SPHERE, "--record", str(record)], capsys)
+    for one in paths:
+        one.unlink()
+    flags = ["--viewer", "none", "--json", "-", "--record", str(again)]
+    assert main(["replay", str(record), *flags]) == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out) == first
+    assert "replay: identical to the recorded numbers" in err
+    assert main(["replay", str(again), "--viewer", "none"]) == 0  # what a replay records is as good
+    capsys.readouterr()
+    assert main(["report", str(record), "--out", str(page), "--json", "-"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["figures"] == ["Force over depth since contact, with the fitted law"]
+    assert "All curves together" in page.read_text()
+    assert "data:image/png" in page.read_text()
+    assert main(["catalog", "compare", str(record), str(again), "--json", "-"]) == 0
+    results = {one["name"]: one for one in json.loads(capsys.readouterr().out)["results"]}
+    assert results["modulus_pa"]["first"]["value"] == first["together"]["modulus_pa"]
+    monkeypatch.setattr("deformscope.stages.poke.indentation.LAW_SD", 0.5)
+    assert main(["replay", str(record), "--viewer", "none"]) == 2
+    assert "numbers that differ by" in capsys.readouterr().err
+
+
 def test_a_script_has_the_same_from_arrays() -> None:
     time, z, force = curve()
     result = ds.indent({"depth_m": z, "force_n": force, "time_s": time}, tip="sphere:0.02", poisson="0.3")

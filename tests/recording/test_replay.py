@@ -85,10 +85,10 @@ def test_pairs_in_their_order(tmp_path: Path) -> None:
     with Recorder(tmp_path / "run.rrd", "none", {}, application=PAIR) as made:
         for index, content in enumerate(files):
             made.write(InputFile(f"pair/{index}", content))
-    assert Replay(tmp_path / "run.rrd").read_pair_bytes() == files
+    assert Replay(tmp_path / "run.rrd").read_numbered("pair") == files
     with Recorder(tmp_path / "one.rrd", "none", {}, application=PAIR) as made:
         made.write(InputFile("pair", files[0]))
-    assert Replay(tmp_path / "one.rrd").read_pair_bytes() == files[:1]
+    assert Replay(tmp_path / "one.rrd").read_numbered("pair") == files[:1]
 
 
 def test_results(tmp_path: Path) -> None:
