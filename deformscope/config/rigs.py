@@ -278,9 +278,10 @@ class NewDeviceConfig(CommandOptions):
 
     name: Annotated[str, Positional, arg(metavar="NAME")]
     """Name of the driver in rig files, and of the folder."""
-    kind: Literal["force", "camera", "tactile", "arm"]
+    kind: Literal["force", "camera", "tactile", "arm", "hand"]
     """force: a force sensor over a serial port; camera: a depth camera through its vendor's library; tactile: pads over
-    a serial port; arm: an arm that takes joint velocities through its vendor's library."""
+    a serial port; arm: an arm that takes joint velocities through its vendor's library; hand: angles of a hand's axes
+    over a serial port."""
     out: Annotated[Path, arg(metavar="FOLDER")] = Path()
     """Folder in which the new folder is written."""
 

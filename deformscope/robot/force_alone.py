@@ -66,7 +66,8 @@ class ForceAlone:
     def of(cls, robot: Robot) -> "ForceAlone":
         """Computed from the sensor's filter and rate, the arm's cycle and compliance, and the supervisor's limits."""
         force, limits = robot.force.config, robot.supervisor.limits
-        filtered_s = 1.0 / (2.0 * math.pi * force.filter_hz) if force.filter_hz else 0.0
+        filter_hz = getattr(force, "filter_hz", 0.0)
+        filtered_s = 1.0 / (2.0 * math.pi * filter_hz) if filter_hz else 0.0
         late_s = filtered_s + 1.0 / force.rate_hz + PERIOD_NS / 1e9 + ARM_CYCLES / robot.arm.state_hz
         stiffness_n_m = 1.0 / max(robot.compliance_m_per_n, 1.0 / STIFFEST_N_M)
         currents = bool(robot.pose.currents) and limits.collision_nm > 0

@@ -16,6 +16,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
 
@@ -107,6 +108,26 @@ class TactileArray(Protocol):
 
     def pressure_pa(self, reading: Any) -> Sequence[FloatArray]:
         """(rows, columns) pressure on the texels of each pad [Pa]."""
+
+
+class HandReading(Protocol):
+    """Axes of a hand (kind `hand`). position_deg, velocity_deg_s: (axes,) [deg], [deg/s]; state: of each axis, with
+    words as names; temperature_c: None = not known [deg C]"""
+
+    @property
+    def stamp(self) -> Stamp: ...
+
+    @property
+    def position_deg(self) -> FloatArray: ...
+
+    @property
+    def velocity_deg_s(self) -> FloatArray: ...
+
+    @property
+    def state(self) -> Sequence[Enum]: ...
+
+    @property
+    def temperature_c(self) -> FloatArray | None: ...
 
 
 class ArmBody(Protocol):
@@ -202,8 +223,8 @@ class DeviceDriver:
     config: its configuration, a frozen dataclass, most often with a default for each field. The fields are the keys in
     a rig file; its `__post_init__` refuses values with ValueError or DeviceError. Fields that are known: `port` (serial
     port, `socket://`, `udp://`), `bus` (CAN, with receive_id, send_id and bitrate), `serial` (the only device that is
-    accepted), `rate_hz` (force sensor), `fps` (camera), `state_hz` and `model` (arm), `library` (a vendor's),
-    `stuck_after_s` (readings that stay the same for so long mean a stuck sensor)
+    accepted), `rate_hz` and `filter_hz` (force sensor; 0 or none = unfiltered), `fps` (camera), `state_hz` and `model`
+    (arm), `library` (a vendor's), `stuck_after_s` (readings that stay the same for so long mean a stuck sensor)
     make: makes a device from a configuration, not opened
     double: makes a byte-exact double for a configuration and a scene (None = one of its own), for any wire
     simulated: the same for a device without bytes: the device itself, not opened, within a context

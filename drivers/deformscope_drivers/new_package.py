@@ -8,7 +8,7 @@ from typing import Literal
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.interface import DRIVERS
 
-PackageKind = Literal["force", "camera", "tactile", "arm"]
+PackageKind = Literal["force", "camera", "tactile", "arm", "hand"]
 NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
 
 

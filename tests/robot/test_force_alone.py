@@ -25,6 +25,8 @@ from deformscope.robot.touch import Phase, TouchEnding, TouchPlan, TouchStateMac
 from deformscope_drivers.arm.kinematics import FloatArray
 from deformscope_drivers.kuka import KukaConfig
 from deformscope_drivers.memory import SimulatedClock
+from deformscope_drivers.optoforce import OptoforceConfig
+from deformscope_drivers.optoforce.double import OMD_20_SE_40N
 from studies.rigid_faults import T_BASE_SURFACE, TOP_M, UP
 from studies.springy_foam import SpringyFoam
 from tests.cases import slow
@@ -36,12 +38,13 @@ POINT_M = np.array([0.3, 0.2, TOP_M])
 class Bench:
     """A KUKA over foam."""
 
-    def __init__(self, limits: Limits) -> None:
+    def __init__(self, limits: Limits, rate_hz: float = 1000.0) -> None:
         self.clock = SimulatedClock(1_000_000_000)
         placement = Placement(T_BASE_SURFACE, Tool())
         arm = arm_in_lab("kuka", KukaConfig(), placement, [POINT_M + 0.12 * UP, POINT_M], self.clock)
         foam = SpringyFoam(60e3, POINT_M, UP, placement.tool)
-        self.lab = TouchLab(foam, self.clock, T_base_surface=T_BASE_SURFACE, arm=arm)
+        sensor = OptoforceConfig(sensitivity=OMD_20_SE_40N, rate_hz=rate_hz)
+        self.lab = TouchLab(foam, self.clock, T_base_surface=T_BASE_SURFACE, arm=arm, force_config=sensor)
         self.lab.open()
         self.robot = Robot(
             self.lab.arm, self.lab.force, placement, limits, clock=self.clock, wait_until=self.lab.wait_until
@@ -101,6 +104,14 @@ def test_a_push_is_above_the_set_force_and_what_repeats_under_it_is_refused(benc
 
     with pytest.raises(RobotStopped, match="same force"):
         press_by_finger(bench.robot, saturates)
+
+
+def test_a_sensor_slower_than_the_control_period_shows_the_finger_too() -> None:
+    """Of three periods, two have no reading: that is no release."""
+    made = Bench(Limits(low_m=(-2.0,) * 3, high_m=(2.0,) * 3, force_silent_s=0.2, force_frozen_s=2.0), rate_hz=30.0)
+    with contextlib.closing(made.lab):
+        made.robot.cycle()
+        assert press_by_finger(made.robot, made.lab.push_tip).passed
 
 
 def test_a_finger_above_the_hard_stop_ends_it(bench: Bench) -> None:

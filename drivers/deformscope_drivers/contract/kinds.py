@@ -170,7 +170,8 @@ class HandContract(KindContract):
     def test_a_reading_has_each_axis(self, device: Any) -> None:
         reading = device.next(PATIENCE_S)
         assert len(reading.position_deg) == len(reading.velocity_deg_s) == len(reading.state)
-        assert np.isfinite(reading.position_deg).all()
+        assert np.isfinite([reading.position_deg, reading.velocity_deg_s]).all()
+        assert all(one.name for one in reading.state)
 
 
 class ArmContract(KindContract):
