@@ -231,8 +231,8 @@ def test_a_strangers_arm_and_force_sensor_explore_simulated_foam(recorded: tuple
     text = "".join(f'[devices.{name}]\ndriver = "my{name}"\ndouble = true\n' for name in ("arm", "force", "camera"))
     text = text.replace('"myforce"', '"myforce"\nn_per_count = 0.02\nrate_hz = 100.0')
     text = text.replace('"mycamera"', '"mycamera"\nfps = 10.0')
-    box = "[workspace]\nlow_m = [-0.4, -0.66, 0.0]\nhigh_m = [0.45, 0.1, 0.75]\ncamera_silent_s = 0.5\narm_silent_s = 0.5\n"
-    box += "force_silent_s = 0.5\n"
+    box = "[workspace]\nlow_m = [-0.4, -0.66, 0.0]\nhigh_m = [0.45, 0.1, 0.75]\ncamera_silent_s = 0.5\n"
+    box += "arm_silent_s = 0.5\nforce_silent_s = 0.5\n"
     (tmp_path / "rig.toml").write_text(f'{text}[surface]\nscene = "two-60-150"\n{box}')
     given = ["explore", tmp_path / "rig.toml", "--yes", "--touches", "1", "--viewer", "none"]
     ran = deformscope(*given, "--json", tmp_path / "found.json", path=site)
