@@ -111,8 +111,8 @@ class TactileArray(Protocol):
 
 
 class HandReading(Protocol):
-    """Axes of a hand (kind `hand`). position_deg, velocity_deg_s: (axes,) [deg], [deg/s]; state: of each axis, with
-    words as names; temperature_c: None = not known [deg C]"""
+    """Axes of a hand (kind `hand`). position_deg, velocity_deg_s: (axes,) [deg], [deg/s]; state: one for each axis,
+    with a word as its name; temperature_c: None = not known [deg C]"""
 
     @property
     def stamp(self) -> Stamp: ...
