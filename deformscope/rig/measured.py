@@ -8,7 +8,7 @@ import numpy as np
 from deformscope import frames
 from deformscope_drivers.device import Device
 from deformscope_drivers.errors import DeviceError
-from deformscope_drivers.interface import DeviceDriver, ForceReading, HandReading, PadReading, TactileArray
+from deformscope_drivers.interface import AxesReading, DeviceDriver, ForceReading, PadReading, TactileArray
 
 if TYPE_CHECKING:
     from deformscope_drivers.arm import ArmState
@@ -81,7 +81,7 @@ def _arm(reading: "ArmState", index: int, name: str, device: object) -> frames.F
     )
 
 
-def _hand(reading: HandReading, index: int, name: str, device: object) -> frames.Frame:
+def _hand(reading: AxesReading, index: int, name: str, device: object) -> frames.Frame:
     temperature_c = np.full(9, np.nan) if reading.temperature_c is None else np.array(reading.temperature_c)
     states = tuple(state.name.lower() for state in reading.state)
     position_deg, velocity_deg_s = np.array(reading.position_deg), np.array(reading.velocity_deg_s)

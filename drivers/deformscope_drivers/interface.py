@@ -110,7 +110,7 @@ class TactileArray(Protocol):
         """(rows, columns) pressure on the texels of each pad [Pa]."""
 
 
-class HandReading(Protocol):
+class AxesReading(Protocol):
     """Axes of a hand (kind `hand`). position_deg, velocity_deg_s: (axes,) [deg], [deg/s]; state: one for each axis,
     with a word as its name; temperature_c: None = not known [deg C]"""
 
