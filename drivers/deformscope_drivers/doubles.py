@@ -10,7 +10,7 @@ import os
 import stat
 import tempfile
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -33,6 +33,18 @@ class Double(Protocol):
 
     def power_up(self, now_ns: int) -> None:
         """Start as after power-on: settings that are not stored are lost, and nothing is left to send."""
+
+
+class PortsDouble(Double, Protocol):
+    """A double of a controller with several ports. ports: their usual numbers by name"""
+
+    ports: Mapping[str, int]
+
+    def connection(self, name: str) -> Double:
+        """What speaks with a new client of a port."""
+
+    def drop(self, connection: Double) -> None:
+        """A client has gone."""
 
 
 class Line:

@@ -2,21 +2,24 @@
 
 A wire has one thread, which feeds the double with bytes and time and sends what is due. Cables can be pulled out."""
 
+import contextlib
 import dataclasses
 import os
 import select
 import socket
+import struct
 import threading
 import tty
 from abc import ABC, abstractmethod
-from typing import Any, Self
+from typing import Any, Self, cast
 
 from deformscope_drivers.clock import monotonic_ns
-from deformscope_drivers.doubles import Double
+from deformscope_drivers.doubles import Double, PortsDouble
+from deformscope_drivers.errors import NotConnected
 from deformscope_drivers.pacing import SENDING, be_prompt
 from deformscope_drivers.transport import CAN_FRAME_BYTES, CHUNK_BYTES, open_bus
 
-LONGEST_WAIT_S = 0.1
+LONGEST_WAIT_S, PORT_TRIES = 0.1, 50
 LOOPBACK = "127.0.0.1"
 
 
@@ -195,6 +198,75 @@ class TcpWire(Wire):
             return 0
 
 
+class PortsWire(Wire):
+    """Ports of a controller on loopback, each for any number of clients; `port` is the URL of the first one.
+
+    Where theirs are not free they have others, with the same distances. Unplugged, it resets its connections."""
+
+    double: PortsDouble
+
+    def __init__(self, double: PortsDouble) -> None:
+        super().__init__(double)
+        self.port, self._number = "", 0
+        self._servers: dict[socket.socket, str] = {}
+        self._clients: dict[socket.socket, tuple[Double, bytearray]] = {}
+
+    def _attach(self) -> None:
+        self.bind()
+
+    def bind(self) -> str:
+        """Open its ports, also before it is entered; the URL of the first one."""
+        if self._servers:
+            return self.port
+        first = next(iter(self.double.ports.values()))
+        for number in [self._number] if self._number else [first, *[0] * PORT_TRIES]:
+            try:
+                for name, usual in self.double.ports.items():
+                    server = socket.create_server((LOOPBACK, number + usual - first if number else 0))
+                    self._servers[server] = name
+                    number = number or server.getsockname()[1]
+            except (OSError, OverflowError):
+                self._detach()
+                continue
+            self._number, self.port = number, f"socket://{LOOPBACK}:{number}"
+            return self.port
+        raise NotConnected(f"{len(self.double.ports)} free ports", "none", "end other doubles", LOOPBACK)
+
+    def _detach(self) -> None:
+        for client in list(self._clients):
+            client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            self._close(client)
+        while self._servers:
+            self._servers.popitem()[0].close()
+
+    def _take(self, wait_s: float) -> bytes:
+        """Serve all clients once; the wire itself has nothing to hand over."""
+        for end in select.select([*self._servers, *self._clients], [], [], wait_s)[0]:
+            if end in self._servers:
+                client, _ = end.accept()
+                client.setblocking(False)
+                client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                self._clients[client] = self.double.connection(self._servers[end]), bytearray()
+                continue
+            try:
+                data = end.recv(CHUNK_BYTES)
+            except OSError:
+                data = b""
+            self._clients[end][0].receive(data, monotonic_ns()) if data else self._close(end)
+        for client, (connection, waiting) in self._clients.items():
+            waiting += connection.due(monotonic_ns())
+            with contextlib.suppress(OSError):  # full, or gone, which the next read shows
+                del waiting[: client.send(waiting)]
+        return b""
+
+    def _give(self, data: bytes) -> int:
+        return len(data)
+
+    def _close(self, client: socket.socket) -> None:
+        self.double.drop(self._clients.pop(client)[0])
+        client.close()
+
+
 class DatagramWire(Wire):
     """Datagrams on loopback with one host, the last that sent one; `port` is a `udp://` URL.
 
@@ -287,6 +359,8 @@ class CanWire(Wire):
 def wire_for(double: Double, config: Any, bus: str = "") -> Wire:
     """A wire to a double: by a CAN bus, a socket or datagrams if the configuration names one, else a pseudo terminal.
     bus: replacement of the CAN bus that the configuration names"""
+    if hasattr(double, "ports"):
+        return PortsWire(cast(PortsDouble, double))
     if getattr(config, "bus", ""):
         return CanWire(double, bus, receive_id=config.receive_id, send_id=config.send_id, bitrate=config.bitrate)
     if config.port.startswith("socket:"):

@@ -37,7 +37,9 @@ class HostedArm(Arm[ArmState]):
         """kind: the driver's class, made there of config alone"""
         self.config = config
         self._kind = kind
-        super().__init__(f"{kind.__name__} in its own process", reconnect=reconnect, clock=monotonic_ns)
+        port = getattr(config, "port", None)
+        name = port if isinstance(port, str) else f"{kind.__name__} in its own process"
+        super().__init__(name, reconnect=reconnect, clock=monotonic_ns)
         self._hosted = HostedProcess("a process that moves the arm", self.name, None)
         self._known: dict[str, Any] = {}
         self._health: dict[str, float] = {}
@@ -270,13 +272,15 @@ def _report(arm: Arm[Any], channel: Channel) -> None:
     """Pass the arm's states on, and its health now and then, until it is closed."""
     be_prompt(READING)
     health_s = 0.0
+    readings = arm.readings()
     try:
-        for state in arm.readings():
-            channel.send("state", state, arm.homed, arm.stopped_because)
+        while True:
+            with contextlib.suppress(TimeoutError):  # a lost arm has no states
+                channel.send("state", readings.get(WAITING_S), arm.homed, arm.stopped_because)
             if time.monotonic() - health_s > HEALTH_S:
                 health_s = time.monotonic()
                 channel.send("health", arm.health().extra)
             if arm.link is Link.LOST:
                 channel.send("lost", arm.health().reason)
-    except DeviceError as error:
+    except (DeviceError, EOFError) as error:
         channel.send("lost", str(error))

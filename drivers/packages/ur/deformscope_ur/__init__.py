@@ -1,0 +1,32 @@
+"""Universal Robots' arms, CB3 and e-Series, through RTDE: `driver = "ur"`."""
+
+import dataclasses
+from typing import Any
+
+from deformscope_drivers.clock import Clock
+from deformscope_drivers.doubles import Double
+from deformscope_drivers.interface import ArmInLab, DeviceDriver, FloatArray, Scene
+from deformscope_drivers.memory import SimulatedClock
+from deformscope_drivers.wires import PortsWire
+from deformscope_ur.config import CHAINS
+from deformscope_ur.config import UrConfig as UrConfig
+from deformscope_ur.config import ur_chain as ur_chain
+from deformscope_ur.device import Ur as Ur
+from deformscope_ur.device import open_ur
+from deformscope_ur.double import UrDouble as UrDouble
+from deformscope_ur.memory import MemoryPorts as MemoryPorts
+
+
+def _double(config: Any, scene: Scene | None) -> Double:
+    return UrDouble(config)
+
+
+def _in_lab(config: UrConfig, start_deg: FloatArray | None, clock: Clock) -> ArmInLab:
+    double = UrDouble(config, start_deg=start_deg)
+    if isinstance(clock, SimulatedClock):
+        return ArmInLab(Ur(config, MemoryPorts(double, clock), clock=clock), double)
+    wire = PortsWire(double)
+    return ArmInLab(open_ur(dataclasses.replace(config, port=wire.bind())), double, wire)
+
+
+DRIVER = DeviceDriver("arm", UrConfig, open_ur, double=_double, chains=lambda: CHAINS, in_lab=_in_lab)

@@ -1,0 +1,124 @@
+"""Keys of a rig file, and the arms as chains of joints in the controller's frames: base, and flange (a TCP of zero)."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from deformscope_drivers.arm.kinematics import Chain, FloatArray, Joint, rotation_from_rpy, transform
+from deformscope_drivers.transport import check_port
+
+RTDE, DASHBOARD, SCRIPT = "rtde", "dashboard", "script"
+PORTS = {RTDE: 30004, DASHBOARD: 29999, SCRIPT: 30002}
+"""Ports of a controller; with another one for RTDE, the others are as far from it."""
+Vector3 = tuple[float, float, float]
+ZEROS = (0.0,) * 6
+HOME_DEG = (0.0, -90.0, -90.0, -90.0, 90.0, 0.0)
+"""Upper arm upright, forearm level, flange down."""
+ALPHA_RAD = (math.pi / 2, 0.0, 0.0, math.pi / 2, -math.pi / 2, 0.0)
+ELBOW_DEG = 180.0
+"""The elbow turns further, but the upper arm is in the way there: ur_description sets the same limit."""
+LEAST_HZ = 50.0
+"""Slowest reports at which a velocity is renewed several times before the controller's script misses it."""
+
+_LINES = (Path(__file__).parent / "arms.txt").read_text("utf-8").splitlines()
+_ARMS = {line.split()[0]: tuple(map(float, line.split()[1:])) for line in _LINES if line[0] != "#"}
+"""By model, the numbers of `arms.txt`."""
+
+
+def ur_chain(
+    model: str,
+    delta_theta: tuple[float, ...] = ZEROS,
+    delta_a: tuple[float, ...] = ZEROS,
+    delta_d: tuple[float, ...] = ZEROS,
+    delta_alpha: tuple[float, ...] = ZEROS,
+) -> Chain:
+    """The chain of a model; delta_...: (6,) the deviations of one arm [rad, m], from its controller's calibration.
+
+    A joint's own frame may be anywhere along its axis. Controllers report d of the parallel second and third axes that
+    differ by metres and cancel; here frames three and four are put next to the frame before them."""
+    a2, a3, d1, d4, d5, d6, arm, elbow, wrist, *masses_kg = _ARMS[model]
+    a, d = (0.0, a2, a3, 0.0, 0.0, 0.0), (d1, 0.0, 0.0, d4, d5, d6)
+    speeds_deg_s, ranges_deg = (arm, arm, elbow, wrist, wrist, wrist), (360.0, 360.0, ELBOW_DEG, 360.0, 360.0, 360.0)
+    steps: list[FloatArray] = [np.eye(4)]
+    for joint in range(6):
+        steps[joint] = steps[joint] @ transform(rotation_from_rpy(0.0, 0.0, delta_theta[joint]), np.zeros(3))
+        alpha = rotation_from_rpy(ALPHA_RAD[joint] + delta_alpha[joint], 0.0, 0.0)
+        steps.append(transform(alpha, (a[joint] + delta_a[joint], 0.0, d[joint] + delta_d[joint])))
+    for joint in (2, 3):
+        slide = transform(np.eye(3), (0.0, 0.0, -steps[joint][2, 3] / steps[joint][2, 2]))
+        steps[joint], steps[joint + 1] = steps[joint] @ slide, np.linalg.inv(slide) @ steps[joint + 1]
+    each = zip(steps[:6], ranges_deg, speeds_deg_s, masses_kg, strict=True)
+    joints = tuple(Joint(*_xyz_rpy(step), -end, end, speed, 0.0, mass_kg) for step, end, speed, mass_kg in each)
+    return Chain(model, joints, *_xyz_rpy(steps[6]), HOME_DEG)
+
+
+def _xyz_rpy(T: FloatArray) -> tuple[Vector3, Vector3]:
+    """Translation [m] and roll, pitch, yaw [rad] of a transform (4, 4)."""
+    x, y, z = (float(value) for value in T[:3, 3])
+    pitch = math.atan2(-T[2, 0], math.hypot(T[0, 0], T[1, 0]))
+    return (x, y, z), (math.atan2(T[2, 1], T[2, 2]), pitch, math.atan2(T[1, 0], T[0, 0]))
+
+
+CHAINS = {model: ur_chain(model) for model in _ARMS}
+
+
+@dataclass(frozen=True, slots=True)
+class UrConfig:
+    """Settings of an arm, needed before it is opened.
+
+    port: RTDE of its controller; its other ports are as far from it as in `PORTS`
+    model: the arm; state_hz: reports a second, a divisor of 500 (CB3: of 125), LEAST_HZ or more
+    linear_limit_m_s, angular_limit_rad_s: greatest speed of the flange that a command may ask for
+    joint_limit_deg_s: greatest speed of any joint; the controller's script stops at a greater one
+    command_deadline_s: default duration of a velocity
+    delta_theta, delta_a, delta_d, delta_alpha: (6,) the arm's own deviations from its model [rad, m], as in
+    calibration.conf of its controller; check_pose: refuse a controller that reports the flange elsewhere
+    own_process: a separate process drives it, so that it is served even while this one is busy
+
+    Raises ValueError, NotConnected"""
+
+    port: str = "socket://192.168.56.101:30004"
+    model: str = "ur5e"
+    state_hz: float = 125.0
+    linear_limit_m_s: float = 0.05
+    angular_limit_rad_s: float = 0.35
+    joint_limit_deg_s: float = 20.0
+    command_deadline_s: float = 0.1
+    delta_theta: tuple[float, ...] = ZEROS
+    delta_a: tuple[float, ...] = ZEROS
+    delta_d: tuple[float, ...] = ZEROS
+    delta_alpha: tuple[float, ...] = ZEROS
+    check_pose: bool = True
+    own_process: bool = True
+
+    def __post_init__(self) -> None:
+        check_port(self.port)
+        if not self.port.startswith("socket://"):
+            raise ValueError(f"expected port = socket://HOST:30004; got {self.port}")
+        if self.model not in CHAINS:
+            raise ValueError(f"expected a model among {', '.join(CHAINS)}; got {self.model!r}")
+        hz = self.state_hz
+        if not hz >= LEAST_HZ or self.cycle_hz % hz:
+            raise ValueError(f"expected state_hz from {LEAST_HZ:g}, a divisor of {self.cycle_hz:g}; got {hz:g}")
+        for name in ("linear_limit_m_s", "angular_limit_rad_s", "joint_limit_deg_s"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                raise ValueError(f"expected {name} above 0; got {value!r}")
+        if not 0.02 <= self.command_deadline_s <= 5.0:
+            raise ValueError(f"expected command_deadline_s from 0.02 to 5; got {self.command_deadline_s!r}")
+        for name in ("delta_theta", "delta_a", "delta_d", "delta_alpha"):
+            values = getattr(self, name)
+            if len(values) != 6 or not all(map(math.isfinite, values)):
+                raise ValueError(f"expected {name} of 6 finite numbers; got {values}")
+
+    @property
+    def cycle_hz(self) -> float:
+        """The controller's own cycles."""
+        return 500.0 if self.model.endswith("e") else 125.0
+
+    @property
+    def chain(self) -> Chain:
+        """The chain of this very arm."""
+        return ur_chain(self.model, self.delta_theta, self.delta_a, self.delta_d, self.delta_alpha)

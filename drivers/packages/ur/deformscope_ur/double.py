@@ -1,0 +1,487 @@
+"""A controller of CB3 or e-Series with its arm, simulated: RTDE, dashboard and scripts, in its own cycles.
+
+It moves as the uploaded program says, as `script.Program` reads it, and not otherwise. Registers take effect in a later
+cycle; the speed slider scales every velocity; a protective stop or a pause brakes the arm whatever the program says. It
+has neither port nor thread: each connection is a `doubles.Double`. Currents and forces are assumed, of the order
+of such arms."""
+
+import struct
+from collections import deque
+from collections.abc import Callable, Generator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from deformscope_drivers.arm.kinematics import Chain, FloatArray, jacobian_of, least_singular, rotation_vector
+from deformscope_drivers.doubles import Double
+from deformscope_drivers.kuka.double import motor_currents
+from deformscope_ur import rtde
+from deformscope_ur.config import DASHBOARD, PORTS, RTDE, UrConfig
+from deformscope_ur.dashboard import GREETING, UNKNOWN
+from deformscope_ur.rtde import Decoder, Kind, Package, Recipe, Runtime, Value
+from deformscope_ur.script import Program, ScriptError, Step
+
+REGISTERS = range(48)
+REGISTER_LAG_S, STARTS_S, UNLOCK_S = 0.002, 0.02, 5.0
+"""From the arrival of a package until its registers are read; from a script's arrival until it runs; from a protective
+stop until it can be unlocked."""
+STOP_RAD_S2 = 40.0
+"""Deceleration of a protective stop, a pause, and the end of a program."""
+SENT_BYTES = 1 << 18
+"""What waits for a client that does not read; more is lost."""
+NOISE, BIAS_N, FRICTION_N = np.array([0.4] * 3 + [0.02] * 3), 1.0, 0.5
+"""Errors of the estimated force: deviation [N, Nm], by pose, by the direction of the motion."""
+CB3_TIMES, SINGULAR = 4.0, 0.03
+"""A CB3 estimates it by currents, with so much greater errors, and reports none below this singular value."""
+
+
+def _variables(way: str) -> dict[str, str]:
+    found = {f"{way}_int_register_{number}": "INT32" for number in REGISTERS}
+    found |= {f"{way}_double_register_{number}": "DOUBLE" for number in REGISTERS}
+    for line in (Path(__file__).parent / "variables.txt").read_text("utf-8").splitlines():
+        first, kind, *names = line.split()
+        found |= dict.fromkeys(names, kind) if first == way else {}
+    return found
+
+
+INPUTS, OUTPUTS = _variables("input"), _variables("output")
+"""Its variables, with their types. Outputs that nothing here changes are zero."""
+
+
+class UrDouble:
+    """Attributes that a simulation reads and sets. slider: speed slider of the pendant, 0 to 1; remote: remote control;
+    robot_mode, safety_bits: as RTDE reports; lag_s: lag of the registers; gain: factor on the program's rates;
+    silent: it reports nothing more; programs: scripts that came; popups: errors of programs"""
+
+    ports: Mapping[str, int] = PORTS
+
+    def __init__(self, config: UrConfig | None = None, *, start_deg: npt.ArrayLike | None = None) -> None:
+        self.config = config if config is not None else UrConfig()
+        self.chain: Chain = self.config.chain
+        self.e_series = self.config.cycle_hz > 125.0
+        self.version = (5, 11, 1, 108318) if self.e_series else (3, 15, 7, 106331)
+        self._q: FloatArray = np.radians(self.chain.home_deg if start_deg is None else start_deg)
+        self._qd, self._target, self._wrench = np.zeros(6), np.zeros(6), np.zeros(6)
+        self.slider, self.remote, self.robot_mode, self.safety_bits = 1.0, True, rtde.RUNNING, rtde.NORMAL
+        self.lag_s, self.gain, self.silent = REGISTER_LAG_S, 1.0, False
+        self.programs: list[str] = []
+        self.popups: list[str] = []
+        self._period_ns = round(1e9 / self.config.cycle_hz)
+        self._next_ns: int | None = None
+        self._began_ns = self._stopped_ns = 0
+        self._clients: list[RtdeConnection] = []
+        self._random = np.random.default_rng(0x05)
+        self.inputs: dict[str, Value] = {}
+        self._input_ns: dict[str, int] = {}
+        self._steps: Generator[Step, None, None] | None = None
+        self._starts_ns: int | None = None
+        self._step: Step = ("",)
+        self.runtime = Runtime.STOPPED
+        self.end_program()
+
+    # For who runs the simulation -------------------------------------------------------------------------------------
+
+    @property
+    def joints_deg(self) -> FloatArray:
+        """(6,) angles of the joints [deg]."""
+        return np.degrees(self._q)
+
+    @property
+    def rates_deg_s(self) -> FloatArray:
+        """(6,) rates of the joints [deg/s]."""
+        return np.degrees(self._qd)
+
+    @property
+    def commanded_deg_s(self) -> FloatArray:
+        """(6,) rates that the program asks for now [deg/s]."""
+        return np.degrees(self._target)
+
+    @property
+    def T_base_links(self) -> FloatArray:
+        """(7, 4, 4) of the joints and the flange [m]."""
+        return self.chain.forward(self.joints_deg)
+
+    @property
+    def T_base_end_effector(self) -> FloatArray:
+        """(4, 4) where the flange is [m]."""
+        return np.asarray(self.T_base_links[-1])
+
+    def push(self, wrench: npt.ArrayLike) -> None:
+        """A push changes currents and the estimated force, no angles. wrench: (6,) on the flange, in the base frame
+        [N, Nm]"""
+        self._wrench = np.array(wrench, dtype=float)
+
+    def protective_stop(self) -> None:
+        """Stop it as after a collision."""
+        self.safety_bits, self._stopped_ns = rtde.PROTECTIVE | 1 << 10, self._next_ns or 0
+        self.pause()
+
+    def emergency_stop(self) -> None:
+        """Press the red button: the program ends."""
+        self.safety_bits, self.robot_mode = 1 << 6 | 1 << 7 | 1 << 10, rtde.IDLE
+        self.end_program()
+
+    def pause(self) -> bool:
+        """Pause the program, as on the pendant."""
+        if paused := self.runtime is Runtime.PLAYING:
+            self.runtime = Runtime.PAUSED
+        return paused
+
+    def end_program(self) -> bool:
+        """Stop the program, as on the pendant."""
+        self._steps, self._starts_ns, self._step = None, None, ("",)
+        self._watched: dict[str, tuple[int, int]] = {}
+        self.registers = [0] * len(REGISTERS)
+        self.runtime = Runtime.STOPPED
+        return True
+
+    def power_on(self) -> bool:
+        """Switch the arm on; its brakes stay closed."""
+        self.robot_mode = max(self.robot_mode, rtde.IDLE)
+        return True
+
+    def release_brakes(self) -> bool:
+        """Open the brakes of an arm that is switched on."""
+        if idle := self.robot_mode >= rtde.IDLE:
+            self.robot_mode = rtde.RUNNING
+        return idle
+
+    def connection(self, name: str) -> "Connection":
+        """What speaks with a new client of a port."""
+        if name == RTDE:
+            self._clients.append(RtdeConnection(self))
+            return self._clients[-1]
+        return DashboardConnection(self) if name == DASHBOARD else ScriptConnection(self)
+
+    def drop(self, connection: Double) -> None:
+        """A connection has ended: what its client had set stays."""
+        self._clients = [client for client in self._clients if client is not connection]
+
+    # Its cycles ------------------------------------------------------------------------------------------------------
+
+    def power_up(self, now_ns: int) -> None:
+        """A cable that is put in changes nothing."""
+
+    def receive(self, data: bytes, now_ns: int) -> None:
+        """Its connections receive."""
+
+    def due(self, now_ns: int) -> bytes:
+        self.live(now_ns)
+        return b""
+
+    @property
+    def stands(self) -> bool:
+        """Whether its safety or its mode keeps it from moving."""
+        return bool(self.safety_bits & ~3) or self.robot_mode != rtde.RUNNING
+
+    def next_ns(self, now_ns: int) -> int:
+        """The end of its present cycle."""
+        return now_ns if self._next_ns is None else self._next_ns
+
+    def live(self, now_ns: int) -> None:
+        """Compute the controller's cycles up to now_ns [ns]."""
+        if self._next_ns is None:
+            self._next_ns = self._began_ns = now_ns
+        while self._next_ns <= now_ns:
+            self._cycle(self._next_ns)
+            self._next_ns += self._period_ns
+
+    def _cycle(self, now_ns: int) -> None:
+        for client in self._clients:
+            client.take_inputs(now_ns)
+        if self.inputs.get("speed_slider_mask"):
+            self.slider = float(np.clip(self._number("speed_slider_fraction"), 0.0, 1.0))
+        if self.stands:
+            self.pause()
+        if self._starts_ns is not None and now_ns >= self._starts_ns:
+            self._starts_ns, self.runtime = None, Runtime.PLAYING
+        wanted, acceleration = np.zeros(6), STOP_RAD_S2
+        if self.runtime is Runtime.PLAYING:
+            wanted, acceleration = self._program_step(now_ns)
+        self._target = wanted * self.slider * self.gain
+        most, gap = acceleration * self._period_ns / 1e9, self._target - self._qd
+        self._qd = np.where(np.abs(gap) <= most, self._target, self._qd + np.sign(gap) * most)
+        self._q = self._q + self._qd * self._period_ns / 1e9
+        if np.any(np.abs(self.joints_deg) > self.chain.upper_deg):
+            self.protective_stop()
+        for client in self._clients:
+            client.report()
+
+    def _program_step(self, now_ns: int) -> tuple[FloatArray, float]:
+        """(6,) rates [rad/s] and acceleration [rad/s^2] in this cycle."""
+        rest = np.zeros(6)
+        if late := [name for name, (ns, seen) in self._watched.items() if now_ns - self._input_ns.get(name, seen) > ns]:
+            self._popup(f"RTDE watchdog: {late[0]}")
+            return rest, STOP_RAD_S2
+        if self._step[0] == "stopj" and np.any(self._qd):
+            return rest, self._step[1]
+        try:
+            assert self._steps is not None
+            self._step = next(self._steps, ("ended",))
+            match self._step:
+                case ("speedj", [*rates], acceleration, *_) if len(rates) == 6:
+                    return np.array(rates, dtype=float), float(acceleration)
+                case ("stopj", acceleration):
+                    return rest, float(acceleration)
+                case ("ended",):
+                    self.end_program()
+                case _:
+                    raise ScriptError(f"{self._step[0]} with other arguments")
+        except (ScriptError, TypeError, ValueError) as error:
+            self._popup(str(error))
+        return rest, STOP_RAD_S2
+
+    def load(self, text: str, now_ns: int) -> None:
+        """A script has come: it replaces the program that runs, where it can be run."""
+        self.programs.append(text)
+        if self.stands or (self.e_series and not self.remote):
+            return
+        self.end_program()
+        functions: dict[str, Callable[..., Any]] = {
+            "get_steptime": lambda: self._period_ns / 1e9,
+            "read_input_integer_register": lambda number: int(self._number(f"input_int_register_{number}")),
+            "read_input_float_register": lambda number: float(self._number(f"input_double_register_{number}")),
+            "write_output_integer_register": self.registers.__setitem__,
+            "rtde_set_watchdog": lambda name, hz, action: self._watched.update({name: (round(1e9 / hz), now_ns)}),
+            "textmsg": lambda *words: None,
+        }
+        try:
+            self._steps = Program(text, functions).run()
+            self._starts_ns = now_ns + round(STARTS_S * 1e9)
+        except ScriptError as error:
+            self._popup(str(error))
+
+    def play(self) -> bool:
+        """Go on with a program that was paused, where it can."""
+        if plays := self.runtime is Runtime.PAUSED and not self.stands:
+            self.runtime = Runtime.PLAYING
+        return plays
+
+    def unlock(self) -> bool:
+        """Unlock a protective stop, if it is not too early; its program has ended."""
+        late = bool(self.safety_bits & rtde.PROTECTIVE) and (self._next_ns or 0) - self._stopped_ns >= UNLOCK_S * 1e9
+        if late:
+            self.safety_bits = rtde.NORMAL
+            self.end_program()
+        return late
+
+    def _popup(self, words: str) -> None:
+        self.popups.append(words)
+        self.end_program()
+
+    # What RTDE takes and gives ---------------------------------------------------------------------------------------
+
+    def claimed_by_others(self, client: "RtdeConnection") -> set[str]:
+        """The inputs that other clients set."""
+        return {name for one in self._clients if one is not client for name in one.claimed}
+
+    def take(self, values: dict[str, Value], now_ns: int) -> None:
+        """Set inputs."""
+        self.inputs.update(values)
+        self._input_ns.update(dict.fromkeys(values, now_ns))
+
+    def output(self, name: str) -> Value:
+        """The present value of an output."""
+        kind, _, number = name.rpartition("_register_")
+        match name:
+            case "timestamp":
+                return ((self._next_ns or 0) - self._began_ns) / 1e9
+            case "actual_q" | "target_q":
+                return tuple(self._q.tolist())
+            case "actual_qd":
+                return tuple(self._qd.tolist())
+            case "target_qd":
+                return tuple(self._target.tolist())
+            case "actual_current":
+                at = self.joints_deg, self.rates_deg_s
+                return tuple(motor_currents(self.chain, *at, self._wrench, self._random).tolist())
+            case "actual_TCP_pose" | "target_TCP_pose":
+                pose = self.T_base_end_effector
+                return (*pose[:3, 3].tolist(), *rotation_vector(pose[:3, :3]).tolist())
+            case "actual_TCP_force":
+                return tuple(self._force().tolist())
+            case "robot_mode":
+                return self.robot_mode
+            case "safety_mode":
+                return 1 if self.safety_bits == rtde.NORMAL else 3 if self.safety_bits & rtde.PROTECTIVE else 7
+            case "safety_status_bits":
+                return self.safety_bits
+            case "robot_status_bits":
+                return 1 | (self.runtime is Runtime.PLAYING) << 1
+            case "runtime_state":
+                return int(self.runtime)
+            case "speed_scaling" | "target_speed_fraction":
+                return self.slider
+        if kind == "output_int":
+            return self.registers[int(number)]
+        return (0,) * int(rtde.FORMATS[OUTPUTS[name]][:-1]) if OUTPUTS[name].startswith("VECTOR") else 0
+
+    def _number(self, name: str) -> Any:
+        return self.inputs.get(name, 0)
+
+    def _force(self) -> FloatArray:
+        """(6,) the estimated force and torque on the flange, in the base frame [N, Nm]."""
+        if not self.e_series and least_singular(jacobian_of(self.T_base_links)) < SINGULAR:
+            return np.zeros(6)
+        bias_n = BIAS_N * np.sin(self._q[:3] + self._q[3:]) + FRICTION_N * np.tanh(self._qd[:3] / 1e-3)
+        off = np.concatenate([bias_n, 0.05 * bias_n]) + self._random.normal(0.0, NOISE)
+        return np.asarray(self._wrench + off * (1.0 if self.e_series else CB3_TIMES))
+
+
+class Connection:
+    """One client of the controller, as a double of its own."""
+
+    def __init__(self, controller: UrDouble) -> None:
+        self.controller = controller
+        self._sent = bytearray()
+        self.power_up(0)
+
+    def power_up(self, now_ns: int) -> None:
+        """Begin again."""
+        self._sent.clear()
+
+    def receive(self, data: bytes, now_ns: int) -> None:
+        self.controller.live(now_ns)
+        self.handle(data, now_ns)
+
+    def due(self, now_ns: int) -> bytes:
+        self.controller.live(now_ns)
+        sent = bytes(self._sent)
+        self._sent.clear()
+        return sent
+
+    def next_ns(self, now_ns: int) -> int | None:
+        return self.controller.next_ns(now_ns)
+
+    def handle(self, data: bytes, now_ns: int) -> None:
+        """Take bytes of the client."""
+        raise NotImplementedError
+
+    def send(self, data: bytes) -> None:
+        """Send bytes to the client."""
+        if len(self._sent) < SENT_BYTES:
+            self._sent += data
+
+
+class RtdeConnection(Connection):
+    """A client of RTDE; claimed: the inputs that it sets"""
+
+    def power_up(self, now_ns: int) -> None:
+        super().power_up(now_ns)
+        self._decoder, self._every, self._count, self._started = Decoder(), 1, 0, False
+        self._outputs: Recipe | None = None
+        self._recipes: dict[int, Recipe] = {}
+        self._pending: deque[tuple[int, dict[str, Value]]] = deque()
+        self.claimed: set[str] = set()
+
+    def handle(self, data: bytes, now_ns: int) -> None:
+        for package in self._decoder.feed(data):
+            if isinstance(package, Package) and (reply := self._answer(package, now_ns)) is not None:
+                self.send(reply.encode())
+
+    def _answer(self, package: Package, now_ns: int) -> Package | None:
+        payload = package.payload
+        match package.kind:
+            case Kind.VERSION:
+                return Package(Kind.VERSION, bytes([payload == struct.pack(">H", rtde.PROTOCOL)]))
+            case Kind.CONTROLLER:
+                return Package(Kind.CONTROLLER, struct.pack(">4I", *self.controller.version))
+            case Kind.OUTPUTS if len(payload) > 8:
+                (hz,), names = struct.unpack_from(">d", payload), tuple(payload[8:].decode("latin-1").split(","))
+                types = tuple(OUTPUTS.get(name, rtde.NOT_FOUND) for name in names)
+                cycle_hz = self.controller.config.cycle_hz
+                good = rtde.NOT_FOUND not in types and 1.0 <= hz <= cycle_hz
+                self._every = round(cycle_hz / hz) if good else 1
+                recipe = Recipe(int(good), names, types)
+                self._outputs = recipe if good else None
+                for name in recipe.refused:
+                    self.send(rtde.text_message(f"{name} is not an output", "RTDE", 1).encode())
+                return recipe.reply(Kind.OUTPUTS)
+            case Kind.INPUTS:
+                names, others = tuple(payload.decode("latin-1").split(",")), self.controller.claimed_by_others(self)
+                types = tuple(rtde.IN_USE if name in others else INPUTS.get(name, rtde.NOT_FOUND) for name in names)
+                recipe = Recipe(len(self._recipes) + 1, names, types)
+                if recipe.refused:
+                    return Recipe(0, names, types).reply(Kind.INPUTS)
+                self._recipes[recipe.number] = recipe
+                self.claimed.update(names)
+                return recipe.reply(Kind.INPUTS)
+            case Kind.START | Kind.PAUSE as kind:
+                self._started = kind is Kind.START and self._outputs is not None
+                return Package(kind, bytes([self._started or kind is Kind.PAUSE]))
+            case Kind.DATA if payload and payload[0] in self._recipes:
+                if (values := self._recipes[payload[0]].unpack(package)) is not None:
+                    self._pending.append((now_ns + round(self.controller.lag_s * 1e9), values))
+        return None
+
+    def take_inputs(self, now_ns: int) -> None:
+        """Apply the registers that are due."""
+        while self._pending and self._pending[0][0] <= now_ns:
+            self.controller.take(self._pending.popleft()[1], now_ns)
+
+    def report(self) -> None:
+        """Send what is due at the end of a cycle."""
+        self._count += 1
+        if self._started and self._outputs and self._count % self._every == 0 and not self.controller.silent:
+            values = {name: self.controller.output(name) for name in self._outputs.names}
+            self.send(self._outputs.pack(values).encode())
+
+
+class ScriptConnection(Connection):
+    """A client of port 30002 that sends a script; a program begins with `def` and ends with `end`, unindented."""
+
+    def power_up(self, now_ns: int) -> None:
+        super().power_up(now_ns)
+        self._text = b""
+
+    def handle(self, data: bytes, now_ns: int) -> None:
+        self._text += data
+        while (at := self._text.find(b"\nend\n")) >= 0:
+            program, self._text = self._text[: at + 5], self._text[at + 5 :]
+            self.controller.load(program.decode("utf-8", "replace"), now_ns)
+        self._text = self._text[-(1 << 16) :]
+
+
+class DashboardConnection(Connection):
+    """A client of the dashboard."""
+
+    def power_up(self, now_ns: int) -> None:
+        super().power_up(now_ns)
+        self._line = b""
+        self.send(GREETING.encode() + b"\n")
+
+    def handle(self, data: bytes, now_ns: int) -> None:
+        *lines, self._line = (self._line[-1024:] + data).split(b"\n")
+        for line in lines:
+            self.send(self._answer(line.decode("utf-8", "replace").strip()).encode() + b"\n")
+
+    def _answer(self, command: str) -> str:
+        arm = self.controller
+        stopped = "PROTECTIVE_STOP" if arm.safety_bits & rtde.PROTECTIVE else "ROBOT_EMERGENCY_STOP"
+        safety = "NORMAL" if arm.safety_bits == rtde.NORMAL else stopped
+        said = {
+            "robotmode": f"Robotmode: {rtde.ROBOT_MODES[arm.robot_mode]}",
+            "safetymode": f"Safetymode: {safety}",
+            "safetystatus": f"Safetystatus: {safety}",
+            "PolyscopeVersion": f"URSoftware {'.'.join(map(str, arm.version))} (simulated)",
+            "running": f"Program running: {str(arm.runtime is Runtime.PLAYING).lower()}",
+            "programState": f"{arm.runtime.name} <unnamed>",
+        }
+        if arm.e_series:
+            said |= {"is in remote control": str(arm.remote).lower(), "get serial number": "20215500000"}
+        done: dict[str, tuple[Callable[[], bool], str]] = {
+            "power on": (arm.power_on, "Powering on"),
+            "brake release": (arm.release_brakes, "Brake releasing"),
+            "unlock protective stop": (arm.unlock, "Protective stop releasing"),
+            "play": (arm.play, "Starting program"),
+            "pause": (arm.pause, "Pausing program"),
+            "stop": (arm.end_program, "Stopped"),
+        }
+        if command in done:
+            action, words = done[command]
+            return words if (arm.remote or not arm.e_series) and action() else f"Failed to execute: {command}"
+        if command.startswith("load "):
+            return f"File not found: {command[5:]}"
+        return said.get(command, f"{UNKNOWN}: '{command}'")
