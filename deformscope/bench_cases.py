@@ -2,6 +2,6 @@
 
 from typing import Literal, get_args
 
-Case = Literal["step", "call", "memory", "relax", "sweep", "gradient", "fit", "cold"]
+Case = Literal["step", "call", "relax"]
 
 CASES: tuple[Case, ...] = get_args(Case)

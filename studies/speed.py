@@ -1,35 +1,42 @@
 """`python -m studies speed`: time of the engine and of the surface, compared with NumPy, LAPACK and other engines.
 
 python -m studies speed --quick
+python -m studies speed --device cuda --only sweep,gradient,fit,cold,memory
 python -m studies speed --peers --sizes 216,512,1331,50653 --json speed.json
 
 Contestants take turns on one core, as in `deformscope bench`.
 """
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
+from typing import Annotated, Literal, get_args
 
 import numpy as np
 
 from deformscope.bench.bodies import BenchBody, counted, cube
 from deformscope.bench.plan import BETA, CLUSTER, MIDDLE, BenchPlan, Note, default_sizes, side_of
 from deformscope.bench.report import check, machine
-from deformscope.bench.steps import WIDE_AT, WIDE_CLUSTER, Stepping, stepped_at_once
+from deformscope.bench.steps import WIDE_AT, WIDE_CLUSTER, Stepping
 from deformscope.bench.timing import OURS, Contestant, Timing, TimingRow, clock, compare
 from deformscope.config import flags
 from deformscope.pictures.report import Table
 from deformscope.stages.msm.clusters import single
 from deformscope.stages.msm.reduced import OneCluster
-from deformscope.stages.msm.solver import Msm
+from deformscope.stages.msm.solver import Msm, pick_device
 from deformscope.terminal import status_line
+from studies.engines.memory import memory
 from studies.engines.numpy_step import NumpyLattice
 from studies.engines.peers import Peer, PeerFailed, require_peers
+from studies.engines.starting import cold
+from studies.engines.static_states import fit, gradient, stepped_at_once, sweep
 from studies.engines.surface import surface
 from studies.runner import Study, StudyOptions, StudyReport
 
+Part = Literal["step", "sweep", "theta", "surface", "gradient", "fit", "cold", "memory"]
+PARTS: tuple[Part, ...] = get_args(Part)
 PEER_MOST = 200_000
 """Number of particles up to which pypbd's body is built in seconds and a few GB."""
 CONTEXT_AT = 1331
@@ -50,35 +57,42 @@ PHYSICS = {
 @dataclass(frozen=True, slots=True)
 class SpeedConfig(StudyOptions):
     """Compare the time of a step, of many candidates, of a single cluster and of a surface with those of other
-    engines, on the CPU."""
+    engines, and of gradients, fits and first results."""
 
+    only: Annotated[
+        tuple[Part, ...] | None, flags.one_word("CASE,CASE...", flags.some_of(PARTS), flags.joined(",")), flags.unset
+    ] = None
+    """Measure only these, of step, sweep, theta, surface, gradient, fit, cold and memory."""
     peers: bool = False
-    """Run other engines too: pypbd, and mujoco and newton if installed (deformscope[peers])."""
+    """Run other engines too, on the CPU: pypbd, and mujoco and newton if installed (deformscope[peers])."""
     quick: bool = False
     """Smaller and fewer cases."""
     sizes: flags.SizesFlag = None
     """Particles of the cubes that are stepped; default: 216 to a million."""
     repeats: flags.SomeFlag = None
     """Rounds of every comparison; default: as many as fit into a few seconds, 9 at most."""
+    device: flags.Device = "cpu"
+    """Where our engine runs; NumPy and the surface always run on the CPU."""
 
 
 def report(options: SpeedConfig, seconds: float) -> StudyReport:
     """A row for each contestant."""
-    plan = BenchPlan("cpu", options.sizes or default_sizes("cpu", options.quick), options.repeats, options.quick)
+    device = pick_device(options.device)
+    plan = BenchPlan(device, options.sizes or default_sizes("cpu", options.quick), options.repeats, options.quick)
     check(plan)
     if options.peers:
         require_peers()
     rows: list[TimingRow] = []
     with status_line() as note:
-        for row in _measured(plan, note, peers=options.peers):
-            rows.append(row)
+        for part in options.only or PARTS:
+            rows += _rows(part, options.peers)(plan, note)
     names = ("case", "what", "by", "median", "unit", "costs", "")
     lines = [
         (row.case, row.what, row.who, _number(row.median), row.unit, _number(row.costs), row.note or row.doubt)
         for row in rows
     ]
     caption = "Medians; costs: median over rounds of a row over its reference row"
-    json = {"machine": machine("cpu"), "rows": [row.plain() for row in rows]}
+    json = {"machine": machine(device), "rows": [row.plain() for row in rows]}
     return StudyReport([Table(lines, names, caption)], json)
 
 
@@ -86,12 +100,28 @@ def _number(value: float | None) -> str:
     return "" if value is None else f"{value:.3g}"
 
 
-def _measured(plan: BenchPlan, note: Note, *, peers: bool) -> Iterator[TimingRow]:
+def _rows(part: Part, peers: bool) -> Callable[[BenchPlan, Note], Iterator[TimingRow]]:
+    others: dict[Part, Callable[[BenchPlan, Note], Iterator[TimingRow]]] = {
+        "step": partial(_steps, peers=peers),
+        "sweep": partial(_sweeps, peers=peers),
+        "theta": theta,
+        "surface": surface,
+        "gradient": gradient,
+        "fit": fit,
+        "cold": cold,
+        "memory": memory,
+    }
+    return others[part]
+
+
+def _steps(plan: BenchPlan, note: Note, *, peers: bool) -> Iterator[TimingRow]:
     for particles in plan.sizes:
         yield from _stepped(plan, note, cube(side_of(particles)), peers)
+
+
+def _sweeps(plan: BenchPlan, note: Note, *, peers: bool) -> Iterator[TimingRow]:
+    yield from sweep(plan, note)
     yield from _at_once(plan, note, peers)
-    yield from theta(plan, note)
-    yield from surface(plan, note)
 
 
 def _stepped(plan: BenchPlan, note: Note, body: BenchBody, peers: bool) -> Iterator[TimingRow]:
@@ -150,13 +180,14 @@ def _peer(plan: BenchPlan, peer: Peer, ours: Contestant, unit: str = "ms/step") 
 
 def _at_once(plan: BenchPlan, note: Note, peers: bool) -> Iterator[TimingRow]:
     """Simulation steps a second of many candidates in one launch, compared with one simulation of another engine."""
-    note("candidates at once")
-    with contextlib.ExitStack() as stack:
-        ours = stepped_at_once(plan, 100)
-        contestants = [ours]
-        if peers:
-            contestants.append(_peer(plan, stack.enter_context(Peer("pypbd", MIDDLE)), ours, "steps/s"))
-        yield from compare("sweep", contestants, plan.rounds_of_steps)
+    for candidates in (100,) if plan.cpu else (100, 1000):
+        ours = stepped_at_once(plan, candidates)
+        note(f"sweep: {ours.what}")
+        with contextlib.ExitStack() as stack:
+            contestants = [ours]
+            if peers:
+                contestants.append(_peer(plan, stack.enter_context(Peer("pypbd", MIDDLE)), ours, "steps/s"))
+            yield from compare("sweep", contestants, plan.rounds_of_steps)
 
 
 def theta(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:

@@ -78,7 +78,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
         *("results", "rig", "robot", "rows", "session", "version", *STAGES),
     ),
     # A GPU machine that has numpy, scipy and warp alone runs it.
-    "bench": ("arrays", "bench_cases", "errors", "plain", "processes", "version", *STAGES),
+    "bench": ("arrays", "bench_cases", "errors", "plain", "version", *STAGES),
     "config": ("bench_cases", "errors", "file_io"),
     "file_io": ("errors",),
     "terminal": ("errors",),

@@ -1,4 +1,4 @@
-"""The bodies that are measured: a cube pressed between two plates, and the thesis's sheet with one particle pushed."""
+"""The bodies that are measured: a cube pressed between two plates, and one that is poked."""
 
 from dataclasses import dataclass
 
@@ -9,10 +9,6 @@ from deformscope.stages.msm.clusters import Clusters, lattice
 
 PRESSED = 0.1
 """Share of its height by which the cube is pressed."""
-SHEET = (7, 15)
-SHEET_CLUSTERS = (2, 4, 5)
-PUSH = 1.5
-"""How far the sheet's particle is pushed [spacings]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,13 +60,3 @@ def poked(side: int) -> BenchBody:
     position = body.rest[held]
     position[side * side :, 0] -= PRESSED * (side - 1)
     return BenchBody(f"{counted(side**3)} poked", body.shape, body.rest, held, position)
-
-
-def sheet() -> BenchBody:
-    """7 x 15 particles in the plane; the bottom row is held, the top middle particle is pushed in."""
-    rows, columns = SHEET
-    rest = np.indices(SHEET, dtype=np.float64).reshape(2, -1).T
-    held = np.array([*range(columns), (rows - 1) * columns + columns // 2])
-    position = rest[held]
-    position[-1, 0] -= PUSH
-    return BenchBody(f"{rows} x {columns} sheet", SHEET, rest, held, position)

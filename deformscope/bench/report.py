@@ -13,9 +13,8 @@ import numpy as np
 import warp as wp
 
 from deformscope.bench.plan import BenchPlan, Note, side_of
-from deformscope.bench.starting import cold
-from deformscope.bench.statics import fit, gradient, relax, sweep
-from deformscope.bench.steps import candidates_at_once, steps
+from deformscope.bench.statics import relax
+from deformscope.bench.steps import steps
 from deformscope.bench.timing import TimingRow
 from deformscope.bench_cases import Case
 from deformscope.errors import InputError
@@ -61,13 +60,8 @@ Earlier: TypeAlias = "Mapping[tuple[str, str, str, str], Mapping[str, Any]]"
 Rows = Callable[[BenchPlan, Note], Iterator[TimingRow]]
 
 MEASURES: tuple[tuple[frozenset[Case], Rows], ...] = (
-    (frozenset({"step", "call", "memory"}), steps),
+    (frozenset({"step", "call"}), steps),
     (frozenset({"relax"}), relax),
-    (frozenset({"sweep"}), sweep),
-    (frozenset({"sweep"}), candidates_at_once),
-    (frozenset({"gradient"}), gradient),
-    (frozenset({"fit"}), fit),
-    (frozenset({"cold"}), cold),
 )
 
 

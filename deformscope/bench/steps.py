@@ -1,70 +1,17 @@
-"""Time stepping: time and memory of one step."""
+"""Time stepping: time of one step, and of a call."""
 
 import gc
 import time
 from collections.abc import Generator, Iterator
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import warp as wp
 
 from deformscope.bench.bodies import BenchBody, counted, cube
-from deformscope.bench.plan import BETA, CLUSTER, MIDDLE, BenchPlan, Note, side_of
+from deformscope.bench.plan import BETA, CLUSTER, BenchPlan, Note, side_of
 from deformscope.bench.timing import OURS, Contestant, Timing, TimingRow, clock, compare
-from deformscope.processes import release_memory
 from deformscope.stages.msm.solver import Msm
-
-# How much memory something took: of the process on a CPU, of the device's pool on a GPU
-
-
-class Meter:
-    """Counter of bytes in use since it was last set to zero. `peak` is the largest number since then; None if the
-    system does not report it."""
-
-    def __init__(self, device: str) -> None:
-        self._device = device
-        self._base: int | None = None
-        self._gpu = device != "cpu"
-        self.zero()
-
-    def zero(self) -> None:
-        """Set the counter to zero. On Linux the kernel forgets the process's highest mark."""
-        gc.collect()
-        if self._gpu:
-            if not wp.is_mempool_supported(self._device):
-                return
-            wp.synchronize_device(self._device)
-            self._base = wp.get_mempool_used_mem_current(self._device)
-            self._highest = wp.get_mempool_used_mem_high(self._device)
-            return
-        release_memory()  # what is free would hide what is taken next
-        try:
-            Path("/proc/self/clear_refs").write_text("5")
-        except OSError:
-            self._base = None
-            return
-        self._base = _status("VmRSS")
-
-    def peak(self) -> int | None:
-        """The most bytes in use since zero; on a GPU None if an earlier body used more: its pool does not shrink."""
-        if self._base is None:
-            return None
-        if self._gpu:
-            wp.synchronize_device(self._device)
-            highest = wp.get_mempool_used_mem_high(self._device)
-            return highest - self._base if highest > self._highest else None
-        highest_rss = _status("VmHWM")
-        return None if highest_rss is None else highest_rss - self._base
-
-
-def _status(name: str) -> int | None:
-    try:
-        text = Path("/proc/self/status").read_text()
-    except OSError:
-        return None
-    return next((int(line.split()[1]) * 1024 for line in text.splitlines() if line.startswith(f"{name}:")), None)
-
 
 WIDE_CLUSTER, WIDE_AT = 9, 50_653
 SETUP_MOST_S = 40.0
@@ -73,9 +20,6 @@ CACHES_BYTES = 1 << 27
 """Size of a step's arrays, below which they may stay in a cache and memory's bandwidth bounds nothing."""
 READ, LEFT = ("mass", "free", "pull"), ("sums_fast", "sums_middle", "maps", "maps_slow", "maps_middle")
 """Fields of a lattice's passes: of particles, and intermediate results between passes."""
-MEMORY_LEAST = 10_000
-"""Number of particles below which a body's memory cannot be seen in that of the process, which grows in pages and
-pools."""
 
 
 class Stepping:
@@ -122,7 +66,7 @@ class Stepping:
 
 
 def steps(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
-    """One step of ever larger cubes, and the memory that it takes."""
+    """One step of ever larger cubes, and calls of them."""
     setup_s, before = 0.0, 1
     bandwidth = bandwidth_bytes_s(plan.device)
     for particles in plan.sizes:
@@ -151,18 +95,11 @@ def bandwidth_bytes_s(device: str) -> float:
 
 def _one_size(plan: BenchPlan, note: Note, particles: int, bandwidth: float) -> Generator[TimingRow, None, float]:
     """Rows of one cube, all of whose memory is free again afterwards. Returns the seconds of setting up."""
-    what, body, meter = counted(particles), cube(side_of(particles)), Meter(plan.device)
+    what, body = counted(particles), cube(side_of(particles))
     began_s = time.perf_counter()
     engine = plan.engine(body, precision="float32")
     setup_s = time.perf_counter() - began_s
-    built = meter.peak()
-    meter.zero()
     stepping = Stepping(engine, body, plan)
-    if not plan.cpu or particles >= MEMORY_LEAST:
-        where = "process" if plan.cpu else "device"
-        for doing, peak in (("set-up", built), ("stepping", meter.peak())):
-            if peak is not None:
-                yield TimingRow("memory", f"{what}, {doing}", OURS, f"B/particle ({where})", (peak / particles,))
     if "step" in plan.only:
         moved = stepping.moved_bytes()
         facts = {"particles": particles, "clusters": engine.cluster_count, "setup_s": setup_s, "bits": 32}
@@ -183,19 +120,3 @@ def _one_size(plan: BenchPlan, note: Note, particles: int, bandwidth: float) -> 
         copy = Contestant(f"{what}, positions copied out", OURS, plan.turn(partial(engine.positions, stepping.state)))
         yield from compare("call", [two, copy], plan.rounds_of_steps)
     return setup_s
-
-
-def candidates_at_once(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
-    """Simulation steps a second of many candidates in one launch."""
-    for candidates in (100,) if plan.cpu else (100, 1000):
-        ours = stepped_at_once(plan, candidates)
-        note(f"sweep: {ours.what}")
-        yield from compare("sweep", [ours], plan.rounds_of_steps)
-
-
-def stepped_at_once(plan: BenchPlan, candidates: int) -> Contestant:
-    """Steps of the cube at which most is compared, at as many values of beta."""
-    body = cube(MIDDLE)
-    stepping = Stepping(plan.engine(body, precision="float32"), body, plan, candidates)
-    what = f"{candidates} candidates of {counted(body.particles)} stepped at once"
-    return Contestant(what, OURS, stepping, "steps/s", candidates, facts={"bits": 32})

@@ -21,12 +21,6 @@ WIDTH = 200
 FACTS: dict[str, Callable[[Any], str]] = {
     "iterations_most": lambda value: f"{value} iterations",
     "smoothed_most": lambda value: f"{value} in the preconditioner",
-    "steps": lambda value: f"{value:,} steps".replace(",", " "),
-    "beta": lambda value: f"beta {value:.4f}",
-    "from_minimum_of_mean_distance": lambda value: f"{value:+.1e} from the least mean distance",
-    "from_minimum_of_squares": lambda value: f"{value:+.1e} from the least squares",
-    "peak_bytes": lambda value: f"{value / 1e6:.0f} MB",
-    "import_s": lambda value: f"imports {value:.2g} s more",
 }
 """The facts of a row in the table, with their formats."""
 

@@ -394,7 +394,7 @@ class BenchConfig(CommandOptions):
     quick: bool = False
     """Smaller and fewer cases, in about 20 s."""
     only: flags.CasesFlag = None
-    """Measure only these, of step, call, memory, relax, sweep, gradient, fit and cold."""
+    """Measure only these, of step, call and relax."""
     sizes: flags.SizesFlag = None
     """Particles of the cubes that are stepped and relaxed; default: 216 to a million, on a GPU to ten."""
     repeats: flags.SomeFlag = None

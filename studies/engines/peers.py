@@ -7,9 +7,9 @@ import sys
 import tempfile
 from importlib.util import find_spec
 
-from deformscope.bench.starting import search_path
 from deformscope.bench.timing import Timing
 from deformscope.errors import InputError
+from studies.engines.starting import search_path
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 

@@ -9,10 +9,10 @@ from scipy.linalg import cho_factor, cho_solve
 
 from deformscope.arrays import FloatArray
 from deformscope.bench.plan import BenchPlan, Note
-from deformscope.bench.steps import Meter
 from deformscope.bench.timing import OURS, Contestant, TimingRow, clock, compare
 from deformscope.stages.map.surface import HeightProcess, fit_surface
 from deformscope.stages.regions.touches import MapGrid
+from studies.engines.memory import Meter
 
 POINTS, QUICK_POINTS = 12_000, 3000
 SIZE_M = (0.6, 0.4)

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -53,12 +54,39 @@ def test_pypbd_keeps_every_cluster_and_moves() -> None:
         assert peer.steps(3).wall_s > 0
 
 
+def measured(tmp_path: Path, *flags: str) -> list[dict[str, Any]]:
+    assert main(["speed", "--quick", "--repeats", "1", *flags, "--json", str(tmp_path / "speed.json")]) == 0
+    return list(json.loads((tmp_path / "speed.json").read_text(encoding="utf-8"))["rows"])
+
+
+@pytest.mark.slow
+def test_memory_of_bodies_that_are_large_enough(tmp_path: Path) -> None:
+    rows = measured(tmp_path, "--sizes", "64,13824", "--only", "memory")
+    assert all(row["unit"] == "B/particle (process)" and row["what"].startswith("13 824") for row in rows)
+    assert len(rows) in (0, 2)  # some systems do not report it
+
+
+def test_only_the_cases_asked_for_on_the_device_asked_for(tmp_path: Path, device: str) -> None:
+    rows = measured(tmp_path, "--only", "gradient", "--device", device)
+    assert {row["case"] for row in rows} == {"gradient"}
+    assert json.loads((tmp_path / "speed.json").read_text(encoding="utf-8"))["machine"]["device"].startswith(device)
+
+
+def test_a_case_that_is_not_there_is_refused(capsys: Capture) -> None:
+    assert main(["speed", "--only", "step,walk"]) == EXIT_INPUT
+    assert "'walk'" in capsys.readouterr().err
+
+
 @pytest.mark.slow  # compiles kernels of quadratic clusters
 def test_each_comparison_gives_rows(tmp_path: Path, capsys: Capture) -> None:
-    flags = ["--quick", "--sizes", "64", "--repeats", "1", "--json", str(tmp_path / "speed.json")]
-    assert main(["speed", *flags]) == 0
-    rows = json.loads((tmp_path / "speed.json").read_text(encoding="utf-8"))["rows"]
-    assert {row["case"] for row in rows} == {"step", "sweep", "theta", "surface"}
+    rows = measured(tmp_path, "--sizes", "64")
+    assert list(dict.fromkeys(row["case"] for row in rows)) == [
+        *("step", "sweep", "theta", "surface", "gradient", "fit", "cold")  # too small a body for its memory
+    ]
     assert [row["who"] for row in rows[:2]] == ["deformscope", "NumPy, batched SVD"]
     assert rows[1]["costs"] > 0
+    assert all(row["median"] > 0 for row in rows)
+    followed, swept = (row for row in rows if row["case"] == "fit")
+    assert abs(followed["facts"]["from_minimum_of_squares"]) < 0.01
+    assert abs(swept["facts"]["from_minimum_of_mean_distance"]) <= 0.01  # the sweep's own stride
     assert "64 particles, clusters of 3^3" in capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""A process's first static state: `python -m deformscope.bench.first_result DEVICE` prints its time."""
+"""A process's first static state: `python -m studies.engines.first_result DEVICE` prints its time."""
 
 import time
 

@@ -10,9 +10,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from deformscope.bench.bodies import counted
-from deformscope.bench.first_result import SIDE
 from deformscope.bench.plan import BenchPlan, Note
 from deformscope.bench.timing import OURS, TimingRow
+from studies.engines.first_result import SIDE
 
 WARM_STARTS = 3
 
@@ -35,7 +35,7 @@ def _start(device: str, cache: str) -> tuple[float, float]:
     # Both processes read the same clock, so that starting the interpreter counts too.
     began_s = time.perf_counter()
     ended = subprocess.run(
-        [sys.executable, "-m", "deformscope.bench.first_result", device],
+        [sys.executable, "-m", "studies.engines.first_result", device],
         capture_output=True,
         text=True,
         check=True,
