@@ -11,10 +11,8 @@ from deformscope.config.images import ParticleFlags
 from deformscope.config.options import CommandOptions, OutputOptions, RecordedOptions, ViewOptions
 from deformscope.errors import InputError
 
-WatchedStage = Literal["flow", "particles", "beta", "theta", "field", "surface", "tactile", "contact"]
+StageWord = Literal["flow", "beta", "surface", "tactile", "contact"]
 ExportFormat = Literal["csv", "parquet", "mcap", "video", "npz", "images"]
-StageWord = WatchedStage | Literal["tracking", "depth-change", "posterior"]
-"""Stages of a rig; the last three belong to a squeeze, and are refused with that reason."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,14 +56,12 @@ class StageOptions(ParticleFlags):
     side."""
 
     stage: Annotated[UseAppendAction[tuple[StageWord, ...]], arg(help_behavior_hint="(repeatable)")] = ()
-    """flow: optical flow between two images; particles: particles of the body at rest in the first image, tracked to
-    the newest image; beta, theta: the fit of that pose with its verdict; field: relative stiffness of each place;
-    surface: a depth camera's surface as a Gaussian process, with its deviation; tactile: centre of pressure, contact
-    area and force of each pad; contact: stiffness by arm and force sensor, after each approach; tracking, depth-change,
-    posterior: posterior of a squeeze alone (`deformscope squeeze`). A stage without a result reports the reason
-    immediately."""
+    """flow: optical flow between two images; beta: particles of the body at rest in the first image, tracked to the
+    newest image, and the fit of that pose with its verdict; surface: a depth camera's surface as a Gaussian process,
+    with its deviation; tactile: centre of pressure, contact area and force of each pad; contact: stiffness by arm and
+    force sensor, after each approach. A stage without a result reports the reason immediately."""
     camera: flags.CameraFlag = None
-    """Colour camera of flow, particles, beta, theta and field; default: the rig's first one."""
+    """Colour camera of flow and beta; default: the rig's first one."""
     cluster_size: flags.ClusterFlag = 3
     """Particles along each side of the overlapping clusters."""
     longest_px: Annotated[int, flags.least(32)] = 160

@@ -14,7 +14,7 @@ from deformscope.recording.portions import item_size
 from deformscope.recording.reader import Replay
 from deformscope.rows import ENTITIES, OF_DEVICES, SERIES, from_components, from_json
 from deformscope.stages.fit.estimate import Estimate
-from deformscope.stages.fit.moment import FieldMoment, MomentFit, ParticleMoment
+from deformscope.stages.fit.moment import MomentFit
 from deformscope.stages.map.exploration import StageFailure, SurfaceEstimate, TouchEstimate
 from deformscope.stages.see.arrows import FlowArrows
 from deformscope.stages.see.tactile import TactileContact
@@ -77,9 +77,7 @@ def read_streams(path: Path, *, trust: bool = False) -> tuple[Stream, ...]:
     return tuple(found[entity] for entity in sorted(found))
 
 
-KINDS: tuple[type, ...] = (
-    *(FlowArrows, ParticleMoment, MomentFit, FieldMoment, SurfaceEstimate, TactileContact, TouchEstimate, StageFailure),
-)
+KINDS: tuple[type, ...] = (*(FlowArrows, MomentFit, SurfaceEstimate, TactileContact, TouchEstimate, StageFailure),)
 
 
 def read_stage_results(path: Path, *, trust: bool = False) -> list[StageResult]:

@@ -8,9 +8,9 @@ from typing import Any, get_args
 import pytest
 
 from deformscope.cli import main
-from deformscope.config.rigs import StageOptions, StageWord, WatchedStage
+from deformscope.config.rigs import StageOptions, StageWord
 from deformscope.errors import InputError
-from deformscope.experiments.live.device_stages import NEEDS, SQUEEZED, StageName
+from deformscope.experiments.live.device_stages import NEEDS, StageName
 from deformscope.recording.items import read_stage_results
 
 RIG = """
@@ -86,7 +86,6 @@ def test_flags_that_contradict_each_other_are_refused() -> None:
 
 
 def test_flags_and_stages_have_the_same_names() -> None:
-    asked: tuple[StageWord, ...] = get_args(WatchedStage)
+    asked: tuple[StageWord, ...] = get_args(StageWord)
     assert StageOptions(stage=(*asked, "flow")).names == asked
     assert tuple(NEEDS) == asked == get_args(StageName)
-    assert SQUEEZED.keys() | NEEDS.keys() == {word for part in get_args(StageWord) for word in get_args(part) or [part]}

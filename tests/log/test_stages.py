@@ -16,7 +16,7 @@ from deformscope.log.stages import log_stage_streams, prepare_stage_results, sum
 from deformscope.log.stages.over_image import stage_blueprint
 from deformscope.recording.items import read_stage_results
 from deformscope.rows import FORMAT
-from deformscope.stages.fit.moment import FieldMoment, MomentFit, ParticleMoment
+from deformscope.stages.fit.moment import MomentFit
 from deformscope.stages.map.exploration import StageFailure, SurfaceEstimate, TouchEstimate
 from deformscope.stages.see.arrows import FlowArrows
 from deformscope.stages.see.tactile import TactileContact, tactile_contact
@@ -33,7 +33,7 @@ STREAMS = (
     Stream("tip", "wrench", "optoforce"),
 )
 STAGES = (
-    *((name, "camera") for name in ("flow", "particles", "beta", "theta", "field")),
+    *((name, "camera") for name in ("flow", "beta")),
     *(("surface", "depth"), ("tactile", "pads"), ("contact", "tip")),
 )
 
@@ -63,11 +63,6 @@ def results() -> list[StageResult]:
         ("tactile", "pads", tactile_contact([0 * felt, 0 * felt], [pad.texel_m for pad in PADS])),
         ("contact", "tip", touch()),
         ("flow", "camera", StageFailure("flow", 0, "too dark", "trace")),
-        ("particles", "camera", ParticleMoment(at, at + 1.0, np.ones(len(at)), seen)),
-        ("theta", "camera", MomentFit(at, at + 1.0, at + 2.0, seen, np.array([0, 1]), np.ones(len(at)), "theta", 0.2,
-                                      (0.1, 0.3), "weak", "weak: theta is 0.1 to 0.3", 0.2, 0.9)),
-        ("field", "camera", FieldMoment(at, 10.0, np.geomspace(0.5, 2.0, len(at)), np.ones((len(at), 2)), seen, 4.0,
-                                        (2.0, 8.0), "gradual", 0.9)),
     ]  # fmt: skip
     return [
         StageResult(
@@ -166,21 +161,6 @@ def test_the_table_keeps_the_newest_of_every_stage(tmp_path: Path) -> None:
     assert "| surface | median height 50 mm, deviation 1 mm, 5 points | depth 6 | 3 | **300 ms** |" in text
     assert "| contact | 0.4 N/mm | tip 12 | 6 | **600 ms** |" in text
     assert "| tactile | **0 N** on 0 cm2, 0 of 2 pads | pads 10 | 5 | **500 ms** |" in text
-
-
-def test_particles_theta_and_fields_are_marked_over_the_image_and_in_the_table(tmp_path: Path) -> None:
-    latest: dict[str, StageResult] = {}
-    rows = written(tmp_path / "r.rrd", results(), latest=latest)
-    assert len(rows["/display/stage/particles/camera/observed"][0]["Points2D:positions"]) == 14
-    assert len(rows["/display/stage/particles/camera/lost"][0]["Points2D:positions"]) == 1
-    assert rows["/display/stage/plot/theta"][0]["Scalars:scalars"] == [0.1, 0.2, 0.3]
-    assert len(rows["/display/stage/theta/camera/simulated"]) == 1
-    assert len(rows["/display/stage/beta/camera/simulated"]) == 2
-    assert len(rows["/display/stage/field/camera/known"][0]["Points2D:positions"]) == 14
-    text = summary(list(latest.values()))
-    assert "| particles | 14 of 15 particles seen, median motion 1.4 px | camera 16 | 8 | **800 ms** |" in text
-    assert "| theta | **theta = 0.2**, weak: theta is 0.1 to 0.3; 14 of 15 particles seen |" in text
-    assert "| field | **gradual**, stiffest over softest 4 (2 to 8), 14 of 15 places determined |" in text
 
 
 def test_a_moment_without_motion_has_no_arrows(tmp_path: Path) -> None:

@@ -220,7 +220,7 @@ def test_a_recording_without_costs_opens(tmp_path: Path, capsys: pytest.CaptureF
     printed, said = capsys.readouterr()
     assert "costs: not recorded" in said
     assert "stages missing: none" in said
-    assert "- (stages.names=theta)" in printed
+    assert "- (stages.names=contact)" in printed
 
 
 @pytest.mark.parametrize(

@@ -18,10 +18,9 @@ from deformscope.experiments.fit.foam_video import ParticleOptions, hold_what_is
 from deformscope.frames import ArmFrame, ColorFrame, DepthFrame, Frame, Item, Kind, Stream, TactileFrame, WrenchFrame
 from deformscope.rig.rig_file import Rig
 from deformscope.stages.fit.calibrate import FitOptions, Model, calibrate
-from deformscope.stages.fit.moment import FieldMoment, MomentFit, ParticleMoment
+from deformscope.stages.fit.moment import MomentFit
 from deformscope.stages.map.exploration import SurfaceEstimate, TouchEstimate
 from deformscope.stages.map.surface import fit_surface
-from deformscope.stages.materials.field import fit_field
 from deformscope.stages.poke.contact import ArmCompliance, TipKind, fit_approach, fitted_law
 from deformscope.stages.regions.touches import MapGrid
 from deformscope.stages.see.arrows import FlowArrows, flow_arrows, region_of
@@ -31,7 +30,7 @@ from deformscope.stages.see.particles import ParticleGrid, Tracked, advance, see
 from deformscope.stages.see.tactile import TactileContact, tactile_contact
 from deformscope_drivers.arm.kinematics import rotation_from_euler_xyz
 
-StageName = Literal["flow", "particles", "beta", "theta", "field", "surface", "tactile", "contact"]
+StageName = Literal["flow", "beta", "surface", "tactile", "contact"]
 """Stages that run while a rig is recorded or shown."""
 
 PARTICLES_ALONG = 9
@@ -99,26 +98,13 @@ class LiveOptions:
 
 NEEDS: dict[StageName, tuple[Kind, ...]] = {
     "flow": ("color",),
-    "particles": ("color",),
     "beta": ("color",),
-    "theta": ("color",),
-    "field": ("color",),
     "surface": ("depth",),
     "tactile": ("tactile",),
     "contact": ("wrench", "arm"),
 }
 """The kinds of devices whose frames a stage uses; its results belong to the first."""
-SQUEEZED = {
-    "tracking": "it begins at the hand's placement, before first contact",
-    "depth-change": "it needs the pressing fingertip and the tracked container",
-    "posterior": "it needs the fingertips' forces since first contact",
-}
-"""Stages of a squeeze, which cannot run if nothing moves the rig, and why."""
-SQUEEZE = "deformscope squeeze RIG --content NAME, with --model FILE for posterior"
-REFERENCE: dict[str, Literal["first", "previous"]] = {
-    "flow": "previous",
-    **dict.fromkeys(("particles", "beta", "theta", "field"), "first"),
-}
+REFERENCE: dict[str, Literal["first", "previous"]] = {"flow": "previous", "beta": "first"}
 """The second image of image stages, besides the newest."""
 
 
@@ -131,9 +117,6 @@ def for_rig(options: LiveOptions, rig: Rig, streams: Sequence[Stream] = ()) -> L
     kinds = kinds or {entry.name: entry.driver.kind for entry in rig.devices}
     found: dict[str, Any] = {}
     for name in options.names:
-        if name in SQUEEZED:
-            wanted = f"a squeeze for --stage {name}: {SQUEEZED[name]}"
-            raise InputError(wanted, "a rig that is recorded or shown", SQUEEZE, rig.name)
         for kind in NEEDS[name]:
             found[kind] = _device_for(name, kind, options.color if kind == "color" else "", rig, kinds)
     found["lossless"] = bool(streams) or found.get("color") in rig.record.lossless
@@ -270,52 +253,24 @@ def _flow(stage: Stage, packed: Any) -> FlowArrows:
     return flow_arrows(before, after, stage.options.particles.roi_rect, stage.options.longest_px)
 
 
-def _particles(stage: Stage, packed: Any) -> ParticleMoment:
-    """Particles of the first image where they are in the newest one."""
-    rest, now = packed
-    grid, tracked = _particles_at(rest, now, stage.options.particles, stage.options.longest_px)
-    return ParticleMoment(grid.rest_px, tracked.position_px, tracked.noise_px, tracked.seen)
-
-
-def _field(stage: Stage, packed: Any) -> FieldMoment:
-    """Relative stiffness of each place, by the particles of the first image in the newest one.
-
-    Raises InputError where too few particles are seen."""
-    (rest, now), options = packed, stage.options.particles
-    grid, tracked = _particles_at(rest, now, options, stage.options.longest_px)
-    held, _ = hold_what_is_seen(grid, tracked, options.held, options.contact_rect)
-    found, _ = fit_field(observe(grid, tracked, held, options))
-    nearest = np.argsort(np.linalg.norm(found.place[:, None] - grid.rest_px, axis=2), axis=1)[:, :4]
-    return FieldMoment(
-        place_px=tracked.position_px[nearest].mean(axis=1),
-        spacing_px=found.spacing,
-        stiffness=found.stiffness,
-        interval=found.interval,
-        determined=np.array([one != "unidentified" for one in found.verdicts]),
-        ratio=found.ratio,
-        ratio_interval=found.ratio_interval,
-        verdict=found.verdict,
-        explained=found.explained,
-    )
-
-
 def _beta(stage: Stage, packed: Any) -> MomentFit:
-    """Particles of the first image where they are in the newest one, and the beta or theta that this pose gives."""
-    rest, now = packed
-    options = stage.options
-    model = Model(parameter="theta" if stage.name == "theta" else "beta", cluster_size=options.cluster_size)
-    bounds = (0.0, 1.0) if stage.name == "theta" else FitOptions().bounds
-    fit = FitOptions(model, bounds=bounds, candidates=CANDIDATES)
-    return fit_moment(rest, now, options.particles, fit, options.longest_px)
-
-
-def fit_moment(
-    rest: ImageArray, now: ImageArray, particles: ParticleOptions, fit: FitOptions, longest_px: int
-) -> MomentFit:
-    """Track the particles of an image at rest directly to another one, and fit that pose alone.
+    """Particles of the first image where they are in the newest one, and the beta that this pose alone gives.
 
     A pose that cannot be fitted (too few particles seen, or no held ones) gives particles and the reason."""
-    grid, tracked = _particles_at(rest, now, particles, longest_px)
+    particles = stage.options.particles
+    fit = FitOptions(Model(cluster_size=stage.options.cluster_size), candidates=CANDIDATES)
+    rest, now = (region_of(image, particles.roi_rect, stage.options.longest_px) for image in packed)
+    size = rest.image.shape[:2]
+    spacing = None if particles.spacing_px is None else particles.spacing_px / rest.scale
+    if spacing is None and particles.grid is None:
+        spacing = max(size) / PARTICLES_ALONG
+    small = seed_grid(size, None, particles.grid, spacing)
+    moved = advance(start(small), *flow_both_ways(rest.image, now.image))
+    scale = rest.scale  # from here on in pixels of the whole image
+    grid = ParticleGrid(rest.whole(small.rest_px), small.shape, small.cell, small.spacing_px * scale)
+    tracked = Tracked(
+        *(rest.whole(moved.position_px), moved.noise_px * scale, moved.seen, moved.forward_backward_px * scale)
+    )
     nothing = MomentFit(
         rest_px=grid.rest_px,
         observed_px=tracked.position_px,
@@ -323,7 +278,7 @@ def fit_moment(
         seen=tracked.seen,
         held=np.zeros(0, np.int64),
         noise_px=tracked.noise_px,
-        parameter=fit.model.parameter,
+        parameter="beta",
     )
     try:
         held, _ = hold_what_is_seen(grid, tracked, particles.held, particles.contact_rect)
@@ -341,24 +296,6 @@ def fit_moment(
         verdict_text=estimate.verdict_text(),
         aee_px=estimate.aee,
         explained=nothing.explained if estimate.explained is None else estimate.explained,
-    )
-
-
-def _particles_at(
-    rest: ImageArray, now: ImageArray, particles: ParticleOptions, longest_px: int
-) -> tuple[ParticleGrid, Tracked]:
-    """The particles at rest, and where they are, in pixels of the whole image."""
-    first, second = (region_of(image, particles.roi_rect, longest_px) for image in (rest, now))
-    height, width = first.image.shape[:2]
-    spacing = None if particles.spacing_px is None else particles.spacing_px / first.scale
-    if spacing is None and particles.grid is None:
-        spacing = max(height, width) / PARTICLES_ALONG
-    grid = seed_grid((height, width), None, particles.grid, spacing)
-    tracked = advance(start(grid), *flow_both_ways(first.image, second.image))
-    scale = first.scale
-    whole = ParticleGrid(first.whole(grid.rest_px), grid.shape, grid.cell, grid.spacing_px * scale)
-    return whole, Tracked(
-        first.whole(tracked.position_px), tracked.noise_px * scale, tracked.seen, tracked.forward_backward_px * scale
     )
 
 
@@ -529,10 +466,7 @@ def fit_contact(
 
 STAGES: dict[StageName, tuple[Callable[[Sequence[Frame]], Any], Callable[[Stage, Any], object]]] = {
     "flow": (_images, _flow),
-    "particles": (_images, _particles),
     "beta": (_images, _beta),
-    "theta": (_images, _beta),
-    "field": (_images, _field),
     "surface": (_depth, _surface),
     "tactile": (lambda frames: cast(TactileFrame, frames[-1]).pressure_pa, _tactile),
     "contact": (_approach, _contact),

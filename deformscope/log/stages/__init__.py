@@ -4,7 +4,7 @@ A result has the time, and the place on `frame`, of the newest frame from which 
 
     stage/NAME/DEVICE            one row a result: every field of it, the frames it used, how many were passed over
     display/stage/NAME/... views: marks over the image, pictures, the verdict as text
-    display/stage/plot/...       numbers over time: lag [ms], beta, theta, force [N], area [cm2]
+    display/stage/plot/...       numbers over time: lag [ms], beta, force [N], area [cm2]
     display/tactile/DEVICE/contact   the centres of pressure, on the picture of the hand
     display/stage/summary        a table: newest results, how many, how far behind"""
 
@@ -15,20 +15,11 @@ import rerun as rr
 
 from deformscope.frames import StageResult, Stream
 from deformscope.log.rig.columns import Batch, log_series, moments, recorded, root, scalars
-from deformscope.log.stages.over_image import (
-    PLOTS,
-    WORDS,
-    StageGroup,
-    log_fields,
-    log_flow_arrows,
-    log_moments,
-    log_pads,
-    log_particle_moments,
-)
+from deformscope.log.stages.over_image import PLOTS, WORDS, StageGroup, log_flow_arrows, log_moments, log_pads
 from deformscope.log.views import SOMETIMES, ShownStage, Views, views_of
 from deformscope.pictures.exploration import force_png, height_png
 from deformscope.pictures.palette import JOINTS, tints_of
-from deformscope.stages.fit.moment import FieldMoment, MomentFit, ParticleMoment
+from deformscope.stages.fit.moment import MomentFit
 from deformscope.stages.map.exploration import StageFailure, SurfaceEstimate, TouchEstimate
 from deformscope.stages.see.arrows import FlowArrows
 from deformscope.stages.see.tactile import TactileContact
@@ -38,9 +29,9 @@ def log_stage_streams(rec: rr.RecordingStream, stages: Sequence[tuple[str, str]]
     """Log constants: names, units and colours of the plots. stages: (name, device)"""
     for number, (name, device) in enumerate(stages):
         log_series(rec, f"{PLOTS}/lag/{name}", [f"{name} [ms]"], [JOINTS[number % len(JOINTS)]])
-        if name in ("beta", "theta"):
+        if name == "beta":
             names = ["lower end", name, "upper end"]
-            log_series(rec, f"{PLOTS}/{name}", names, [(120, 120, 130), (235, 45, 45), (120, 120, 130)])
+            log_series(rec, f"{PLOTS}/beta", names, [(120, 120, 130), (235, 45, 45), (120, 120, 130)])
         if name == "tactile":
             pads = next(one.pads for one in streams if (one.kind, one.device) == ("tactile", device))
             for quantity, unit in (("force", "N"), ("area", "cm2")):
@@ -104,14 +95,11 @@ def _log_pictures(batch: Batch, group: StageGroup, stage: str, draw: Callable[..
     batch.send_columns(f"display/stage/{stage}", times, columns)
 
 
-FLOW, PARTICLES, BETA, THETA, FIELD, TACTILE, SURFACE, CONTACT = (
+FLOW, BETA, TACTILE, SURFACE, CONTACT = (
     ShownStage(name, chapter, gives, entity=f"stage/{name}", field=field, when=f"stages.names={name}")
     for name, chapter, gives, field in (
         ("flow", 3, "optical flow between the images used", "flow_px"),
-        ("particles", 3, "where the flow moves particles", "rest_px"),
         ("beta", 3, "observed and simulated particles (eq. 3.13)", "rest_px"),
-        ("theta", 3, "observed and simulated particles (eq. 3.17)", "rest_px"),
-        ("field", 3, "relative stiffness of each place", "place_px"),
         ("tactile", 2, "force, area and centre of pressure of each pad", "force_n"),
         ("surface", 4, "its height and deviation (eq. 4.3, 4.4)", "height_m"),
         ("contact", 4, "force over depth of an approach", "approach_m"),
@@ -119,9 +107,7 @@ FLOW, PARTICLES, BETA, THETA, FIELD, TACTILE, SURFACE, CONTACT = (
 )
 STAGE_VIEWS: Views[Batch] = {
     FlowArrows: (FLOW, log_flow_arrows),
-    ParticleMoment: (PARTICLES, log_particle_moments),
-    MomentFit: (BETA, THETA, log_moments),
-    FieldMoment: (FIELD, log_fields),
+    MomentFit: (BETA, log_moments),
     TactileContact: (TACTILE, log_pads),
     SurfaceEstimate: (SURFACE, lambda batch, group: _log_pictures(batch, group, "surface", height_png)),
     TouchEstimate: (CONTACT, lambda batch, group: _log_pictures(batch, group, "contact", force_png, "Approach")),
@@ -152,15 +138,6 @@ def format_result(result: object) -> str:
             seen = f"{np.count_nonzero(result.seen)} of {len(result.seen)} particles seen"
             value = "" if np.isnan(result.value) else f"**{result.parameter} = {result.value:.3g}**, "
             return f"{value}{result.verdict_text}; {seen}"
-        case ParticleMoment():
-            moved = np.hypot(*(result.position_px - result.rest_px)[result.seen].T)
-            median = f"median motion {np.median(moved):.2g} px" if moved.size else "none followed"
-            return f"{np.count_nonzero(result.seen)} of {len(result.seen)} particles seen, {median}"
-        case FieldMoment():
-            low, high = result.ratio_interval
-            determined = f"{np.count_nonzero(result.determined)} of {len(result.determined)} places determined"
-            ratio = f"stiffest over softest {result.ratio:.3g} ({low:.3g} to {high:.3g})"
-            return f"**{result.verdict}**, {ratio}, {determined}"
         case TactileContact():
             touched = int(np.count_nonzero(result.area_m2))
             area_cm2 = result.area_m2.sum() * 1e4

@@ -1,4 +1,4 @@
-"""Results of stages as marks: flow, particles and fields over the image that they were found in; centres of pressure on
+"""Results of stages as marks: flow and particles over the image that they were found in; centres of pressure on
 the picture of the hand, with force and contact area of each pad over time."""
 
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from deformscope.log.rig.blueprint import blueprint_of, plot_view, rig_views, ta
 from deformscope.log.rig.columns import Batch, moments, root, scalars
 from deformscope.log.rig.tactile import Hand
 from deformscope.pictures.palette import HELD, LOST, OBSERVED, SIMULATED, colors, round_up
-from deformscope.stages.fit.moment import FieldMoment, MomentFit, ParticleMoment
+from deformscope.stages.fit.moment import MomentFit
 from deformscope.stages.see.arrows import FlowArrows
 
 
@@ -55,7 +55,7 @@ def log_flow_arrows(batch: Batch, group: StageGroup) -> None:
         batch.show(f"{path}/arrows", when, arrows)
         first = one.used[0].first
         words = f"from frame {first} to {one.used[-1].last}: up to {longest:.2g} px, arrows {times:g} times as long"
-        _label(batch, f"{path}/words", _above(flow.at_px, step), words, when)
+        batch.show(f"{path}/words", when, _label(flow.at_px, step, words))
 
 
 def log_moments(batch: Batch, group: StageGroup) -> None:
@@ -64,14 +64,14 @@ def log_moments(batch: Batch, group: StageGroup) -> None:
         fit: MomentFit = one.result
         values.append(np.array([fit.interval[0], fit.value, fit.interval[1]]))
     times = moments([one.host_ns for one in group.results], group.start_ns)
-    stage = group.results[0].stage
-    batch.send_columns(f"{PLOTS}/{stage}", times, scalars(values))
+    batch.send_columns(f"{PLOTS}/beta", times, scalars(values))
     for one in group.drawn:
         fit = one.result
-        path, when = root(f"display/stage/{stage}", group.device), moments([one.host_ns], group.start_ns)
+        path, when = root("display/stage/beta", group.device), moments([one.host_ns], group.start_ns)
         spacing = _spacing(fit.rest_px)
         known = fit.seen & np.isfinite(fit.simulated_px).all(axis=1)
-        _log_moved(batch, path, when, fit.rest_px[fit.seen], fit.observed_px[fit.seen], spacing)
+        lines = np.stack([fit.rest_px, fit.observed_px], axis=1)[fit.seen].astype(np.float32)
+        batch.show(f"{path}/moved", when, rr.LineStrips2D(lines, colors=LOST, radii=0.03 * spacing, draw_order=40.0))
         held = np.zeros(len(fit.seen), np.bool_)
         held[fit.held] = True
         for name, points, color, share, order in (
@@ -82,56 +82,14 @@ def log_moments(batch: Batch, group: StageGroup) -> None:
             marks = rr.Points2D(points, colors=color, radii=share * spacing, draw_order=order)
             batch.show(f"{path}/{name}", when, marks)
         value = "" if np.isnan(fit.value) else f"{fit.parameter} = {fit.value:.3g}: "
-        _label(batch, f"{path}/words", _above(fit.rest_px, spacing), value + fit.verdict_text, when)
+        batch.show(f"{path}/words", when, _label(fit.rest_px, spacing, value + fit.verdict_text))
 
 
-def log_particle_moments(batch: Batch, group: StageGroup) -> None:
-    for one in group.drawn:
-        found: ParticleMoment = one.result
-        path, when = root("display/stage/particles", group.device), moments([one.host_ns], group.start_ns)
-        spacing, seen = _spacing(found.rest_px), found.seen
-        _log_moved(batch, path, when, found.rest_px[seen], found.position_px[seen], spacing)
-        for name, those, color in (("observed", seen, OBSERVED), ("lost", ~seen, LOST)):
-            marks = rr.Points2D(found.position_px[those], colors=color, radii=0.14 * spacing, draw_order=50.0)
-            batch.show(f"{path}/{name}", when, marks)
-        words = f"{np.count_nonzero(seen)} of {len(seen)} particles seen"
-        _label(batch, f"{path}/words", _above(found.rest_px, spacing), words, when)
-
-
-def log_fields(batch: Batch, group: StageGroup) -> None:
-    """Log a disc for each determined place, dark where it is soft, and a white dot for each other place."""
-    for one in group.drawn:
-        found: FieldMoment = one.result
-        path, when = root("display/stage/field", group.device), moments([one.host_ns], group.start_ns)
-        known, log = found.determined, np.log(found.stiffness)
-        share = (log - log.min()) / max(float(np.ptp(log)), 1e-9)
-        discs = rr.Points2D(
-            found.place_px[known], colors=colors(share[known]), radii=0.4 * found.spacing_px, draw_order=50.0
-        )
-        batch.show(f"{path}/known", when, discs)
-        others = rr.Points2D(found.place_px[~known], colors=LOST, radii=0.1 * found.spacing_px, draw_order=49.0)
-        batch.show(f"{path}/unknown", when, others)
-        low, high = found.ratio_interval
-        words = f"{found.verdict}: stiffest over softest {found.ratio:.3g} ({low:.3g} to {high:.3g})"
-        _label(batch, f"{path}/words", _above(found.place_px, found.spacing_px), words, when)
-
-
-def _log_moved(
-    batch: Batch, path: str, when: Sequence[rr.TimeColumn], rest: FloatArray, now: FloatArray, spacing: float
-) -> None:
-    """Lines from (n, 2) to (n, 2) [px]."""
-    lines = np.stack([rest, now], axis=1).astype(np.float32)
-    batch.show(f"{path}/moved", when, rr.LineStrips2D(lines, colors=LOST, radii=0.03 * spacing, draw_order=40.0))
-
-
-def _above(points: FloatArray, spacing: float) -> FloatArray:
-    """(2,) place of a label over the middle of lattice points (n, 2) [px]."""
+def _label(points: FloatArray, spacing: float, words: str) -> rr.Points2D:
+    """A label over the middle of lattice points (n, 2) [px]."""
     low, high = points.min(axis=0), points.max(axis=0)
-    return np.array([0.5 * (low[0] + high[0]), low[1] - 0.8 * spacing])
-
-
-def _label(batch: Batch, path: str, place: FloatArray, words: str, when: Sequence[rr.TimeColumn]) -> None:
-    batch.show(path, when, rr.Points2D([place], radii=0.1, labels=[words], show_labels=True, draw_order=60.0))
+    place = np.array([0.5 * (low[0] + high[0]), low[1] - 0.8 * spacing])
+    return rr.Points2D([place], radii=0.1, labels=[words], show_labels=True, draw_order=60.0)
 
 
 def _spacing(points: FloatArray) -> float:
@@ -175,13 +133,10 @@ def log_pads(batch: Batch, group: StageGroup) -> None:
 
 PLOTS = "display/stage/plot"
 WORDS = "display/stage/summary"
-OVER_IMAGE = ("flow", "particles", "beta", "theta", "field")
+OVER_IMAGE = ("flow", "beta")
 TITLES = {
     "flow": "{}: optical flow [px]",
-    "particles": "{}: particles (seen blue, lost white)",
     "beta": "{}: beta (observed blue, simulated red, held yellow)",
-    "theta": "{}: theta (observed blue, simulated red, held yellow)",
-    "field": "{}: stiffness (soft dark, stiff bright, unknown white)",
     "surface": "{}: height of the surface [mm]",
     "contact": "{}: force of the last approach [N]",
 }
@@ -205,8 +160,8 @@ def stage_blueprint(stages: Sequence[tuple[str, str]], streams: Sequence[Stream]
             pictures.append(rrb.Spatial2DView(contents=contents, name=title))
         else:
             pictures.append(rrb.Spatial2DView(contents=[f"+ /display/stage/{name}"], name=title))
-        if name in ("beta", "theta"):
-            plots.append(plot_view(f"{PLOTS}/{name}", f"{name} and its 90 % interval{simulated}"))
+        if name == "beta":
+            plots.append(plot_view(f"{PLOTS}/beta", f"beta and its 90 % interval{simulated}"))
     plots.append(plot_view(f"{PLOTS}/lag", "results behind their frame [ms]", below=True))
     words = rrb.TextDocumentView(contents=[f"+ /{WORDS}"], origin=WORDS, name="Stages")
     shown = rrb.Vertical(

@@ -340,23 +340,6 @@ def test_beta_follows_particles_in_pixels_of_the_whole_image() -> None:
     assert found.verdict_text.removeprefix("weak, ").startswith(found.verdict.split("-")[0])
 
 
-def test_particles_theta_and_field_are_of_the_first_image_and_the_newest() -> None:
-    options = LiveOptions(("particles", "theta", "field"), color="camera")
-    stages = {stage.name: stage for stage in stages_of(options, ())}
-    found: dict[str, Any] = {name: compute(stage, (foam(), foam(16.0))) for name, stage in stages.items()}
-    down = 16.0 * (240 - found["particles"].rest_px[:, 1]) / 240
-    inner = found["particles"].seen & (found["particles"].rest_px[:, 1] > 40)
-    moved = found["particles"].position_px - found["particles"].rest_px
-    np.testing.assert_allclose(moved[inner], np.column_stack([0 * down, down])[inner], atol=0.5)
-    assert found["theta"].parameter == "theta"
-    assert found["theta"].interval[0] <= found["theta"].value <= found["theta"].interval[1] <= 1.0
-    field = found["field"]
-    assert field.ratio_interval[0] <= 1.0 <= field.ratio_interval[1] or field.verdict == "unidentified"
-    assert len(field.place_px) == len(field.stiffness) == len(field.interval) == len(field.determined) >= 30
-    assert (field.place_px >= 0.0).all()
-    assert (field.place_px[:, 0] < 320.0).all()
-
-
 def test_a_pose_that_cannot_be_fitted_has_particles_and_a_reason() -> None:
     particles = ParticleOptions(held=("bottom", "contact"), contact=(40.0, 40.0, 80.0, 80.0))
     hidden = foam()
@@ -502,14 +485,6 @@ def test_a_camera_that_is_not_calibrated_is_refused_and_the_bench_is() -> None:
     found = for_rig(LiveOptions(("flow", "surface", "contact")), bench)
     assert (found.color, found.depth, found.wrench, found.arm) == ("camera", "depth", "tip", "arm")
     assert found.size_m == (0.36, 0.26)
-
-
-@pytest.mark.parametrize("name", ["tracking", "depth-change", "posterior"])
-def test_a_stage_of_a_squeeze_is_refused_with_the_reason(name: Any) -> None:
-    with pytest.raises(
-        InputError, match=f"a squeeze for --stage {name}: .*; got a rig that is recorded or shown .*squeeze RIG"
-    ):
-        for_rig(LiveOptions((name,)), load_rig("lab:bench"))
 
 
 PADS = (PadLayout("thumb_distal", 4, 3, (3.4e-3, 3.4e-3), 0, 1, 1),)
