@@ -10,20 +10,28 @@ others, whose cartons and rooms were not in its training.
 
 import math
 import tempfile
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
+import scipy
+
+from deformscope.arrays import FloatArray, IntArray
 from deformscope.config import flags
 from deformscope.experiments.squeeze.squeeze import feature_settings
 from deformscope.files.squeeze_dataset import SqueezeDataset, TrialRow
 from deformscope.lab.container_setup import container_lab
 from deformscope.pictures.report import Table
+from deformscope.results.declared import reported as stated
 from deformscope.results.render import to_json
-from deformscope.stages.squeeze.model import fit_model
-from deformscope.stages.squeeze.model_check import check_model
-from deformscope.stages.squeeze.table import LabelledTable
+from deformscope.stages.squeeze.evaluation import held_values
+from deformscope.stages.squeeze.intervals import Estimated, Interval
+from deformscope.stages.squeeze.model import ContentModel, fit_model
+from deformscope.stages.squeeze.model_check import score_of, targets
+from deformscope.stages.squeeze.scores import BINS, ClassificationScore
+from deformscope.stages.squeeze.table import LabelledTable, absent
 from studies.reproduce.container_trials import SqueezeJob, run_squeeze
 from studies.runner import Study, StudyOptions, StudyReport, Trials
 from studies.seeds import reported
@@ -33,6 +41,11 @@ FIRST = 1000
 """Number of the first carton and of the first room, which no command draws."""
 CARTONS = 5
 """That share a room."""
+LEVEL = 0.9
+DRAWS = 4000
+"""Perfectly calibrated classifiers that are drawn: a share of 0.1 is then known within 0.01."""
+TIMES_S = (0.2, 0.5, 1.0)
+"""Times since first contact at which a model's posteriors are evaluated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +57,23 @@ class ContentsConfig(StudyOptions):
     """Squeezes that the classifier is trained on, from seed SEED on."""
     trials: flags.ManyFlag = 300
     """New squeezes, of the seeds after these."""
+
+
+@dataclass(frozen=True, slots=True)
+class TimeCheck:
+    """A model's posterior at this time after first contact, of the modalities of `score`; time_s: NaN = in the end, of
+    all that are fused; error_interval: interval of the calibration error, by bootstrap over trials; by_chance: mean
+    error of a perfectly calibrated model with the same posteriors, as its bins hold few trials
+    debiased: root mean square error over the bins, without the contribution of chance to its square (Kumar, Liang and
+    Ma 2019); with many trials it is not below the mean error"""
+
+    time_s: float = field(metadata=stated(json=lambda time_s: None if math.isnan(time_s) else time_s))
+    score: ClassificationScore = field(metadata=stated(flat=True))
+    error_interval: Interval = field(metadata=stated(key="calibration_interval"))
+    by_chance: float = field(metadata=stated(key="calibration_by_chance"))
+    debiased: Estimated = field(
+        metadata=stated(key="calibration_debiased", interval_key="calibration_debiased_interval")
+    )
 
 
 def squeezed(seed: int) -> TrialRow:
@@ -67,6 +97,53 @@ def table_of(rows: Sequence[TrialRow]) -> LabelledTable:
         return dataset.table()
 
 
+def _during(model: ContentModel, table: LabelledTable, level: float, seed: int) -> Iterator[TimeCheck]:
+    """At `TIMES_S`, of the trials in which there is touch then, and in the end, of all."""
+    held = {name: held_values(values) for name, values in table.series.items() if name in model.steps}
+    for time_s in TIMES_S if "tactile" in held and table.step_s == model.step_s else ():
+        step = round(time_s / model.step_s)
+        now = {name: values[:, min(step, values.shape[1] - 1)] for name, values in held.items()}
+        rows = np.flatnonzero(~absent(now["tactile"]))
+        names, posterior = model.predict_at(time_s, {name: values[rows] for name, values in now.items()})
+        score = score_of(model, table, posterior, rows, names, level)
+        yield _time_check(time_s, score, posterior, targets(model, table, rows), seed)
+    posterior = model.predict_proba({name: table.modalities[name] for name in model.modalities})
+    every = np.arange(len(table))
+    score = score_of(model, table, posterior, every, tuple(model.modalities), level)
+    yield _time_check(math.nan, score, posterior, targets(model, table, every), seed)
+
+
+def _time_check(
+    time_s: float, score: ClassificationScore, posterior: FloatArray, target: IntArray, seed: int
+) -> TimeCheck:
+    """With the calibration errors of a posterior (n, classes); few trials err upwards by chance. target: (n,)"""
+    right, size = posterior.argmax(axis=1) == target, len(target)
+    sure, random = posterior.max(axis=1), np.random.default_rng([seed, 0xEC])
+    place = np.minimum((sure * BINS).astype(int), BINS - 1)
+
+    def errors(of: IntArray) -> tuple[float, float]:
+        """The mean error of these trials, and the square of the debiased one."""
+        count = np.bincount(place[of], minlength=BINS)
+        off, hit = (np.bincount(place[of], values[of], BINS) for values in (sure - right, right))
+        several = count > 1
+        count, share = count[several], hit[several] / count[several]
+        square = (off[several] / count) ** 2 - share * (1.0 - share) / (count - 1)
+        return float(np.abs(off).sum()) / size, float(count @ square) / size
+
+    drawn = np.array([errors(random.integers(size, size=size)) for _ in range(DRAWS)])
+    low, high = np.quantile(drawn[:, 0], [0.5 - score.level / 2, 0.5 + score.level / 2])
+    perfect = [np.bincount(place, sure - (random.random(size) < sure), BINS) for _ in range(DRAWS)]
+    found, half = errors(np.arange(size))[1], scipy.stats.norm.ppf(0.5 + score.level / 2) * drawn[:, 1].std()
+    root, least, most = np.sqrt(np.maximum([found, found - half, found + half], 0.0)).tolist()
+    return TimeCheck(
+        time_s,
+        score,
+        error_interval=(float(low), float(high)),
+        by_chance=float(np.abs(perfect).sum(axis=1).mean()) / size,
+        debiased=Estimated(root, (least, most)),
+    )
+
+
 def report(options: ContentsConfig, seconds: float, tried: Sequence[TrialRow]) -> StudyReport:
     """A row of each time, for each set of training squeezes."""
     new, lines, json = table_of(tried[options.train :]), [], {}
@@ -74,7 +151,7 @@ def report(options: ContentsConfig, seconds: float, tried: Sequence[TrialRow]) -
     for seeds in (*(range(at * third, (at + 1) * third) for at in range(3)), range(options.train)):
         named = f"{options.output.seed + seeds.start} to {options.output.seed + seeds.stop - 1}"
         model = fit_model(table_of(tried[seeds.start : seeds.stop]), by_group=True)
-        times = check_model(model, new, seed=options.output.seed).times
+        times = list(_during(model, new, LEVEL, options.output.seed))
         json[named] = [to_json(one) for one in times]
         for one in times:
             when = "end" if math.isnan(one.time_s) else f"{one.time_s:g} s"

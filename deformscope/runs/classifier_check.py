@@ -1,6 +1,5 @@
 """Evaluation of a saved classifier on new trials: `deformscope classify TABLE --model MODEL`."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -36,18 +35,6 @@ class ClassifierCheckResult(LibraryResult):
             ("calibration", format_calibration(check)),
             *((f"{name} alone", format_right(one)) for name, one in check.alone.items()),
         ]
-        times = [
-            (
-                "in the end" if math.isnan(one.time_s) else f"{one.time_s:g} s",
-                one.score.modality,
-                format_right(one.score),
-                f"{one.score.calibration_error:.1%} ({{:.1%}} to {{:.1%}})".format(*one.error_interval),
-                f"{one.by_chance:.1%}",
-                f"{one.debiased.value:.1%} ({{:.1%}} to {{:.1%}})".format(*one.debiased.interval),
-            )
-            for one in check.times
-        ]
-        columns = "after first contact", "by", "accuracy", "calibration error", "by chance", "without chance"
         return (
             Table(rows, caption=self.name),
             Table(
@@ -59,7 +46,6 @@ class ClassifierCheckResult(LibraryResult):
                 ("content", "named rightly", "interval"),
                 "Content by content",
             ),
-            *([Table(times, columns)] if times else []),
         )
 
     def pictures(self) -> dict[str, bytes]:

@@ -1,7 +1,6 @@
 """Whether a trained classifier keeps its promise on labelled trials that it has never seen."""
 
-import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,12 +9,11 @@ import scipy
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.results.declared import derived, reported
-from deformscope.stages.squeeze.evaluation import held_values
 from deformscope.stages.squeeze.groupings import trained_on
 from deformscope.stages.squeeze.intervals import Estimated, Interval, share_among_new, trials_worth, wilson
 from deformscope.stages.squeeze.model import ContentModel
-from deformscope.stages.squeeze.scores import BINS, ClassificationScore, balanced_worth, cluster_sizes, reliability_of
-from deformscope.stages.squeeze.table import LabelledTable, absent
+from deformscope.stages.squeeze.scores import ClassificationScore, balanced_worth, cluster_sizes, reliability_of
+from deformscope.stages.squeeze.table import LabelledTable
 from deformscope.stages.squeeze.trial_run import joined_name
 
 DRAWS = 4000
@@ -24,26 +22,6 @@ DRAWS = 4000
 
 DRIFTED = 1.0
 """A feature whose mean is off by more than this many deviations of the training trials has drifted."""
-
-TIMES_S = (0.2, 0.5, 1.0)
-"""Times since first contact at which a model's posteriors are evaluated."""
-
-
-@dataclass(frozen=True, slots=True)
-class TimeCheck:
-    """A model's posterior at this time after first contact, of the modalities of `score`; time_s: NaN = in the end, of
-    all that are fused; error_interval: interval of the calibration error, by bootstrap over trials; by_chance: mean
-    error of a perfectly calibrated model with the same posteriors, as its bins hold few trials
-    debiased: root mean square error over the bins, without the contribution of chance to its square (Kumar, Liang and
-    Ma 2019); with many trials it is not below the mean error"""
-
-    time_s: float = field(metadata=reported(json=lambda time_s: None if math.isnan(time_s) else time_s))
-    score: ClassificationScore = field(metadata=reported(flat=True))
-    error_interval: Interval = field(metadata=reported(key="calibration_interval"))
-    by_chance: float = field(metadata=reported(key="calibration_by_chance"))
-    debiased: Estimated = field(
-        metadata=reported(key="calibration_debiased", interval_key="calibration_debiased_interval")
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +32,6 @@ class ModelCheck:
     expected: interval of the accuracy of this number of independent trials, if the promise is right
     inside: how many bins of the reliability diagram are inside the band, and how many have answers
     calibrated: share of perfectly calibrated classifiers with the same posteriors that stray as far or farther
-    times: during the squeeze and in the end, if table and model have steps
     trained: number of the trials that trained the model: these do not test it
     drifted: features by modality and column, and by how many deviations of the training trials their means are off, the
     farthest first"""
@@ -66,7 +43,6 @@ class ModelCheck:
     expected: Interval | None = field(metadata=reported(key="expected_interval"))
     inside: tuple[int, int]
     calibrated: float = field(metadata=reported(key="calibrated_p"))
-    times: tuple[TimeCheck, ...] = field(default=(), metadata=reported(key="at_times"))
     trained: int = field(default=0, metadata=reported(key="trained_on"))
     drifted: Mapping[str, float] = field(default_factory=dict, metadata=reported())
 
@@ -99,12 +75,12 @@ def check_model(model: ContentModel, table: LabelledTable, *, level: float = 0.9
     if not features or not len(rows):
         raise InputError(f"features of {' or '.join(model.modalities)}", "none")
     posterior = model.predict_proba({name: values[rows] for name, values in features.items()})
-    score = _score(model, table, posterior, rows, tuple(features), level)
+    score = score_of(model, table, posterior, rows, tuple(features), level)
     alone = {}
     for name, values in features.items() if len(features) > 1 else ():
         own = np.flatnonzero(~np.isnan(values).all(axis=1))
         if len(own):
-            alone[name] = _score(model, table, model.predict_proba({name: values[own]}), own, (name,), level)
+            alone[name] = score_of(model, table, model.predict_proba({name: values[own]}), own, (name,), level)
     found = score.reliability
     filled = found.count > 0
     within = (found.right >= found.band[:, 0]) & (found.right <= found.band[:, 1])
@@ -117,12 +93,9 @@ def check_model(model: ContentModel, table: LabelledTable, *, level: float = 0.9
         stated = model.promised.get("level", level)
         expected = share_among_new(promised, score.worth, level, float(stated) if isinstance(stated, float) else level)
     calibrated = _calibrated(posterior, score, seed)
-    last = _time_check(math.nan, score, posterior, _target(model, table, rows), seed)
-    times = tuple(_times(model, table, level, seed))
-    shown = (*times, last) if times else ()
     trained = int(trained_on(table, model.seen)[rows].sum())
     return ModelCheck(
-        model.labels, score, alone, promised, expected, bins, calibrated, shown, trained, _drifted(model, features)
+        model.labels, score, alone, promised, expected, bins, calibrated, trained, _drifted(model, features)
     )
 
 
@@ -138,55 +111,12 @@ def _drifted(model: ContentModel, features: Mapping[str, FloatArray]) -> dict[st
     return {name: found[name] for name in far if abs(found[name]) > DRIFTED}
 
 
-def _times(model: ContentModel, table: LabelledTable, level: float, seed: int) -> Iterator[TimeCheck]:
-    """At `TIMES_S`, of the trials in which there is touch then."""
-    held = {name: held_values(values) for name, values in table.series.items() if name in model.steps}
-    for time_s in TIMES_S if "tactile" in held and table.step_s == model.step_s else ():
-        step = round(time_s / model.step_s)
-        now = {name: values[:, min(step, values.shape[1] - 1)] for name, values in held.items()}
-        rows = np.flatnonzero(~absent(now["tactile"]))
-        names, posterior = model.predict_at(time_s, {name: values[rows] for name, values in now.items()})
-        score = _score(model, table, posterior, rows, names, level)
-        yield _time_check(time_s, score, posterior, _target(model, table, rows), seed)
-
-
-def _target(model: ContentModel, table: LabelledTable, rows: IntArray) -> IntArray:
+def targets(model: ContentModel, table: LabelledTable, rows: IntArray) -> IntArray:
     """(n,) index of each label among those of the model."""
     return np.array([model.labels.index(one) for one in table.label[rows]])
 
 
-def _time_check(
-    time_s: float, score: ClassificationScore, posterior: FloatArray, target: IntArray, seed: int
-) -> TimeCheck:
-    """With the calibration errors of a posterior (n, classes); few trials err upwards by chance. target: (n,)"""
-    right, size = posterior.argmax(axis=1) == target, len(target)
-    sure, random = posterior.max(axis=1), np.random.default_rng([seed, 0xEC])
-    place = np.minimum((sure * BINS).astype(int), BINS - 1)
-
-    def errors(of: IntArray) -> tuple[float, float]:
-        """The mean error of these trials, and the square of the debiased one."""
-        count = np.bincount(place[of], minlength=BINS)
-        off, hit = (np.bincount(place[of], values[of], BINS) for values in (sure - right, right))
-        several = count > 1
-        count, share = count[several], hit[several] / count[several]
-        square = (off[several] / count) ** 2 - share * (1.0 - share) / (count - 1)
-        return float(np.abs(off).sum()) / size, float(count @ square) / size
-
-    drawn = np.array([errors(random.integers(size, size=size)) for _ in range(DRAWS)])
-    low, high = np.quantile(drawn[:, 0], [0.5 - score.level / 2, 0.5 + score.level / 2])
-    perfect = [np.bincount(place, sure - (random.random(size) < sure), BINS) for _ in range(DRAWS)]
-    found, half = errors(np.arange(size))[1], scipy.stats.norm.ppf(0.5 + score.level / 2) * drawn[:, 1].std()
-    root, least, most = np.sqrt(np.maximum([found, found - half, found + half], 0.0)).tolist()
-    return TimeCheck(
-        time_s,
-        score,
-        error_interval=(float(low), float(high)),
-        by_chance=float(np.abs(perfect).sum(axis=1).mean()) / size,
-        debiased=Estimated(root, (least, most)),
-    )
-
-
-def _score(
+def score_of(
     model: ContentModel,
     table: LabelledTable,
     posterior: FloatArray,
@@ -196,7 +126,7 @@ def _score(
 ) -> ClassificationScore:
     """The score as that of an evaluation, for trials that each were answered once. posterior: (n, classes); rows: (n,)
     of the table"""
-    target = _target(model, table, rows)
+    target = targets(model, table, rows)
     answer = posterior.argmax(axis=1)
     right, sure = answer == target, posterior.max(axis=1)
     classes = len(model.labels)
