@@ -6,9 +6,13 @@ import numpy as np
 from scipy.optimize import minimize
 
 from deformscope.arrays import BoolArray, FloatArray
-from deformscope.stages.msm.fit import LARGEST, STATE_TOLERANCE
 from deformscope.stages.msm.reference import Volume
 from deformscope.stages.msm.solver import TOLERANCE, Msm
+
+LARGEST = 0.9999
+"""Largest beta tried: at 1 only the linear fit is left, and most bodies have no unique static state."""
+STATE_TOLERANCE = 1e-5
+"""Tolerance of the search's static states, as a share of the body's extent."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +45,7 @@ def fit_beta_theta(
 
     Each step linearizes the static state in -log(1 - beta) and theta, by its derivatives, and minimises the error over
     both. The step limit grows where the prediction held and shrinks where it did not (the error has long curved
-    valleys: less beta needs more theta). The search goes downhill from `start`, as in `fit_beta`.
+    valleys: less beta needs more theta). The search goes downhill from `start`.
 
     held_position: (n, d); observed: (K, d), nan where a particle was not seen [m]
     start: beta, theta; tolerance: smallest decrease of the error worth a step, as a share of it"""

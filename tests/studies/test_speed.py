@@ -81,12 +81,9 @@ def test_a_case_that_is_not_there_is_refused(capsys: Capture) -> None:
 def test_each_comparison_gives_rows(tmp_path: Path, capsys: Capture) -> None:
     rows = measured(tmp_path, "--sizes", "64")
     assert list(dict.fromkeys(row["case"] for row in rows)) == [
-        *("step", "sweep", "theta", "surface", "gradient", "fit", "cold")  # too small a body for its memory
+        *("step", "sweep", "theta", "surface", "gradient", "cold")  # too small a body for its memory
     ]
     assert [row["who"] for row in rows[:2]] == ["deformscope", "NumPy, batched SVD"]
     assert rows[1]["costs"] > 0
     assert all(row["median"] > 0 for row in rows)
-    followed, swept = (row for row in rows if row["case"] == "fit")
-    assert abs(followed["facts"]["from_minimum_of_squares"]) < 0.01
-    assert abs(swept["facts"]["from_minimum_of_mean_distance"]) <= 0.01  # the sweep's own stride
     assert "64 particles, clusters of 3^3" in capsys.readouterr().out

@@ -39,9 +39,6 @@ PREDICTED = 1e-2
 STAY = 256
 """Evaluations of a persistent kernel before it returns for a check."""
 
-TURN = 8
-"""Number of evaluations of a search for beta in one launch; most searches need no more."""
-
 REPLAYS = {"cpu": 1, "cuda": 8}
 """Iterations between checks of which candidates still run. On a GPU, each check waits for the device."""
 
@@ -228,11 +225,10 @@ class Newton(Iteration):
         self._free = rest.free
         self._kept = self.operator.kept(volume)
         self._stay: Any = None
-        self._following: Any = None
 
     def _parameters_changed(self) -> None:
         super()._parameters_changed()
-        self._stay = self._following = None
+        self._stay = None
 
     def set(self, beta: FloatArray, theta: FloatArray) -> None:
         super().set(beta, theta)
@@ -287,33 +283,6 @@ class Newton(Iteration):
         if self.multigrid is not None:
             self.multigrid.linearise(rest, everything)
         self.operator.change(self.u, self.residual, self.parameters, everything, self._kept)
-
-    def follow(
-        self, target: FloatArray, seen: BoolArray, start: float, largest: float, **search: float
-    ) -> tuple[float, int, bool, bool]:
-        """Beta of least mean distance of one candidate to displacements target (K, d) where seen (K,), from the state
-        `u`; evaluations, convergence of the search, and of its state. largest: beta; search: see the kernel's"""
-        layout, device = self.layout, self.layout.device
-        if self._following is None:
-            given = self.operator.resident.BetaSearch()
-            given.target, given.found = layout.field(self.body.dim), wp.zeros(8, dtype=wp.float64, device=device)
-            given.seen = upload(np.zeros(layout.places), layout.scalar, device, layout.width)
-            newton, pairs = [self.span, self.state], (self.pair, self.pair_out)
-            self._following = given, self.operator.follow(self.parameters, self._kept, newton, *pairs, given)
-        given, launch = self._following
-        layout.put(target[None], given.target)
-        places = np.zeros(layout.places + layout.width)
-        places[layout.place] = seen
-        given.seen.assign(places)
-        given.found.assign(np.array([start, 0.0, 0.0, 0.0, largest, 0.0, 0.0, 0.0]))
-        for name, value in {"turn": TURN, **search}.items():
-            setattr(given, name, value)
-        launch.set_param_by_name("search", given)
-        self.step.zero_()
-        while not given.found.numpy()[-1]:  # each launch ends soon, so that Ctrl-C is seen
-            launch.launch()
-        beta, evaluations, settled, *_ = given.found.numpy()
-        return float(beta), int(evaluations), bool(settled), bool(self.state.state.numpy()[0] == k.CONVERGED)
 
     def solve(self, relative: float) -> bool:
         """`step` of (I - J) step = `residual` where goals were last evaluated; whether it came to `relative` of it."""

@@ -10,7 +10,7 @@ import warp as wp
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.stages.msm import lattice_kernels as k
 from deformscope.stages.msm.body import Body, BodyRest, Operator, Parameters, RestArrays, rest_struct, upload_rows
-from deformscope.stages.msm.cluster_functions import BY_BETA, GOAL, cluster_functions_for
+from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
 from deformscope.stages.msm.clusters import FLAT_MOMENT_RATIO, LatticeClusters
 from deformscope.stages.msm.layout import Field, Layout, upload, widths
 from deformscope.stages.msm.resident_kernels import THREADS, resident_kernels_for
@@ -300,14 +300,6 @@ class LatticeOperator(Operator):
         passes = self._passes(parameters, kept)
         passes.pair, passes.pair_out = pair, pair_out
         return self._stay(self.resident.relax, [passes, *newton, 0], record_cmd=True)
-
-    def follow(
-        self, parameters: Parameters, kept: object, newton: list[Any], pair: Field, pair_out: Field, search: object
-    ) -> Any:
-        """The command for some evaluations of the search for the beta of least error."""
-        passes, by_beta = self._passes(parameters, kept), self._passes(parameters, what=BY_BETA)
-        passes.pair, passes.pair_out = pair, pair_out
-        return self._stay(self.resident.follow, [passes, by_beta, *newton, search], record_cmd=True)
 
     def _stay(self, kernel: wp.Kernel, inputs: list[Any], *, record_cmd: bool = False) -> Any:
         dim, device = self.layout.groups * self.threads, self.layout.device

@@ -12,10 +12,10 @@ from typing import Any
 
 import warp as wp
 
-from deformscope.stages.msm.lanes import Doubles, Ints
+from deformscope.stages.msm.lanes import Ints
 from deformscope.stages.msm.lattice_kernels import lattice_functions_for
 from deformscope.stages.msm.members import kernel_in, members
-from deformscope.stages.msm.newton_functions import REACH, newton_functions_for
+from deformscope.stages.msm.newton_functions import newton_functions_for
 
 THREADS = {wp.float32: 512, wp.float64: 256}
 """Threads of a block on a GPU that stay, for which the compiler saves registers."""
@@ -192,162 +192,6 @@ def aim_for(given: Resident) -> Any:
 
 
 @functools.cache
-def beta_search_for(scalar: Any) -> Any:
-    """The struct type of a search for beta, for fields of `scalar`."""
-    numbers = wp.array(dtype=scalar)
-
-    @wp.struct
-    class BetaSearch:
-        """One candidate's search for the beta of least error.
-
-        target: the observed displacement; seen: (places,) 1 where it is; most: evaluations; limit: iterations of a
-        state; tolerance: tolerance of beta; spread, share: tolerance of the search's states, and of the last one;
-        relative: tolerance of their derivatives; found: beta, evaluations, whether the last step was below the
-        tolerance, and the start of the next launch: bounds of beta, beta and slope before, and whether it is done
-        turn: evaluations of a launch, after which the host can interrupt the search"""
-
-        target: numbers
-        seen: numbers
-        most: int
-        limit: int
-        turn: int
-        tolerance: wp.float64
-        spread: wp.float64
-        share: wp.float64
-        relative: wp.float64
-        found: Doubles
-
-    return BetaSearch
-
-
-def search_functions_for(given: Resident) -> tuple[Any, Any]:
-    """The functions of one evaluation of a search for beta."""
-    dim, scalar, width, f, meet = given.dim, given.scalar, given.width, given.newton, given.meet
-    Span, NewtonState, BetaSearch = f.Span, f.NewtonState, beta_search_for(scalar)
-
-    @wp.func
-    def slopes(span: Span, newton: NewtonState, search: BetaSearch, thread: int, threads: int):
-        """Slope of the summed distance along d state / d beta (`step`), and a curvature that never overshoots."""
-        slope = f.sums()
-        curvature = f.sums()
-        for block in range(thread, span.blocks, threads):
-            at, count = f.place_of(span, 0, block)
-            for l in range(wp.min(count, wp.static(width))):
-                if search.seen[block * wp.static(width) + l] > scalar(0.0):
-                    square = wp.float64(1e-18)
-                    along = wp.float64(0.0)
-                    longer = wp.float64(0.0)
-                    for i in range(wp.static(dim)):
-                        here = at + i * span.stride + l
-                        away = wp.float64(newton.u[here]) - wp.float64(search.target[here])
-                        moved = wp.float64(newton.step[here])
-                        square += away * away
-                        along += away * moved
-                        longer += moved * moved
-                    distance = wp.sqrt(square)
-                    slope[0] = slope[0] + along / distance
-                    curvature[0] = curvature[0] + longer / distance
-        return f.joined(slope), f.joined(curvature)
-
-    @wp.func
-    def anew(span: Span, newton: NewtonState, tolerance: wp.float64, relative: wp.float64, outer: int, thread: int):
-        """Newton's steps (`outer`) or a linear solve of the one candidate begin."""
-        if thread == 0:
-            newton.tolerance[0] = tolerance
-            newton.relative[0] = relative
-            reach = wp.float64(wp.inf)
-            if outer == 1:
-                reach = wp.float64(REACH)
-            f.reset(span, newton, reach, outer, 1 - outer, 0)
-        meet()
-
-    return slopes, anew
-
-
-def follow_kernel_for(given: Resident, operate: Any, iterate: Any, aim_at: Any) -> Any:
-    """The kernel of the search for beta."""
-    dim, scalar, width, window = given.dim, given.scalar, given.width, given.window
-    f, meet, keep = given.newton, given.meet, given.keep
-    slopes, anew = search_functions_for(given)
-    BetaSearch = beta_search_for(scalar)
-    Passes, Span, NewtonState = given.types
-
-    @kernel_in(f"follow_{dim}d_{scalar.__name__}_{width}_{window}", scalar, launch_bounds=THREADS[scalar])
-    def follow(passes: Passes, by_beta: Passes, span: Span, newton: NewtonState, search: BetaSearch):
-        """`fit.fit_beta`, some evaluations of it. by_beta: passes that make the derivative of the goals."""
-        thread = wp.tid()
-        threads = passes.threads
-        beta = search.found[0]
-        evaluations = int(search.found[1])
-        settled = int(search.found[2])
-        low = search.found[3]
-        high = search.found[4]
-        beta_before = search.found[5]
-        slope_before = search.found[6]
-        last = int(0)
-        end = evaluations + search.turn
-        while last == 0 and evaluations < end:
-            if evaluations == search.most or settled != 0:
-                last = 1
-            spread = search.spread
-            if last != 0:
-                spread = search.share
-            if thread == 0:
-                passes.fields.beta[0] = scalar(beta)
-            anew(span, newton, spread, wp.float64(0.0), 1, thread)
-            iterate(passes, span, newton, search.limit, 0, thread)
-            if last == 0:
-                operate(by_beta, passes.pair, 0, 0, passes.pair_out, 0, 0, thread)
-                anew(span, newton, wp.float64(0.0), search.relative, 0, thread)
-                aim_at(span, newton, 0, thread, threads)
-                meet()
-                iterate(passes, span, newton, newton.most, 0, thread)
-                slope_sums, curvature_sums = slopes(span, newton, search, thread, threads)
-                keep(newton, 0, 0, thread, slope_sums)
-                keep(newton, 1, 0, thread, curvature_sums)
-                meet()
-                slope = newton.parts[0]
-                curvature = newton.parts[wp.static(width) * newton.groups]
-                evaluations += int(1)
-                if slope < wp.float64(0.0):
-                    low = wp.max(low, beta)
-                else:
-                    high = wp.min(high, beta)
-                step = wp.float64(0.0)
-                if curvature > wp.float64(0.0):
-                    step = -slope / curvature
-                if evaluations > 1 and slope != slope_before:
-                    secant = -slope * (beta - beta_before) / (slope - slope_before)
-                    if secant * slope < wp.float64(0.0):
-                        step = secant
-                tenth = wp.float64(0.1)
-                new = wp.clamp(beta + step, low + tenth * (beta - low), high - tenth * (high - beta))
-                if wp.abs(new - beta) <= search.tolerance:
-                    settled = int(1)
-                for block in range(thread, span.blocks, threads):
-                    at, count = f.place_of(span, 0, block)
-                    along = f.vecs.load(newton.step, at, span.stride)
-                    moved = f.vecs.add(f.vecs.load(newton.u, at, span.stride), scalar(new - beta), along)
-                    f.vecs.store(newton.u, at, span.stride, moved, count)
-                    f.vecs.store(newton.step, at, span.stride, f.vecs.rows(), count)
-                meet()
-                beta_before = beta
-                slope_before = slope
-                beta = new
-        if thread == 0:
-            search.found[0] = beta
-            search.found[1] = wp.float64(evaluations)
-            search.found[2] = wp.float64(settled)
-            search.found[3] = low
-            search.found[4] = high
-            search.found[5] = beta_before
-            search.found[6] = slope_before
-            search.found[7] = wp.float64(last)
-
-    return follow
-
-
-@functools.cache
 def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> SimpleNamespace:
     """Kernels that stay, for lattices of `dim` = 2 or 3, scalar = wp.float32 or wp.float64; lanes of `width`, 1 on a
     GPU.
@@ -404,8 +248,7 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
         aim_at(span, newton, group, index - group * threads, threads)
 
     small = given.newton.small_kernels(relax_kernel, steps_kernel)
-    follow = follow_kernel_for(given, operate, iterate, aim_at)
-    made = members(beta_search_for(scalar), steps, relax, aim, follow, *small)
+    made = members(steps, relax, aim, *small)
     if on_cpu:
         made.goals = goals
     return made
