@@ -125,7 +125,7 @@ def score_of(
     level: float,
 ) -> ClassificationScore:
     """The score as that of an evaluation, for trials that each were answered once. posterior: (n, classes); rows: (n,)
-    of the table"""
+    indices of these trials in the table"""
     target = targets(model, table, rows)
     answer = posterior.argmax(axis=1)
     right, sure = answer == target, posterior.max(axis=1)
