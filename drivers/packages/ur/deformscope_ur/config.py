@@ -19,8 +19,8 @@ HOME_DEG = (0.0, -90.0, -90.0, -90.0, 90.0, 0.0)
 ALPHA_RAD = (math.pi / 2, 0.0, 0.0, math.pi / 2, -math.pi / 2, 0.0)
 ELBOW_DEG = 180.0
 """The elbow turns further, but the upper arm is in the way there: ur_description sets the same limit."""
-LEAST_HZ = 50.0
-"""Slowest reports at which a velocity is renewed several times before the controller's script misses it."""
+LEAST_HZ = 100.0
+"""Slowest reports at which what they show stops the arm within 20 ms."""
 
 _LINES = (Path(__file__).parent / "arms.txt").read_text("utf-8").splitlines()
 _ARMS = {line.split()[0]: tuple(map(float, line.split()[1:])) for line in _LINES if line[0] != "#"}

@@ -6,6 +6,7 @@ SILENCE_S, whatever became of this process. The arm is stopped, until `acknowled
 stop for safety, a program that does not run, a speed slider below 100 % (which slows every velocity), or joints that
 turn faster than was asked."""
 
+import itertools
 import math
 import random
 import urllib.parse
@@ -175,7 +176,8 @@ class Ur(Arm[ArmState]):
             if self._values["runtime_state"] == Runtime.PAUSED and self._follows:
                 dashboard.command("stop", "Stopped", "stop the program on the pendant")
         self._session = random.SystemRandom().randrange(1, 1 << 31)  # a script of an earlier session ends by it
-        if not self._until(lambda: self._values["runtime_state"] == Runtime.STOPPED, RESTS_S):
+        rounds = itertools.count()  # in some of which the controller takes the session: the script would end without it
+        if not self._until(lambda: self._values["runtime_state"] == Runtime.STOPPED and next(rounds) > 3, RESTS_S):
             came = f"one that is {self._runtime()}"
             raise self._refused("a controller without another program", came, "stop it on the pendant")
         script = self._ways(SCRIPT)
@@ -262,7 +264,8 @@ class Ur(Arm[ArmState]):
         return states
 
     def _reports(self, timeout_s: float) -> Iterable[int]:
-        """The times [ns] of reports, each answered."""
+        """The times [ns] of reports. The newest is answered: after a stall, older ones are no longer true."""
+        newest_ns = None
         for package, host_ns in self._listen(timeout_s):
             values = self._outputs.unpack(package) if self._outputs is not None else None
             if values is None:
@@ -274,22 +277,23 @@ class Ur(Arm[ArmState]):
                 periods = round((self._values["timestamp"] - before["timestamp"]) * self.config.state_hz)
                 if 1 < periods < 10_000:
                     self._count_lost(periods - 1)
-            self._watch(host_ns)
-            self._send()
+            newest_ns = host_ns
             yield host_ns
+        if newest_ns is not None:
+            self._watch(newest_ns)
+            self._send()
 
     def _listen(self, timeout_s: float) -> list[tuple[Package, int]]:
         assert self._transport is not None
-        data = self._transport.read(timeout_s)
-        host_ns = self._clock()
-        if data:
-            self._record_raw(data, host_ns)
         found: list[tuple[Package, int]] = []
-        for event in self._decoder.feed(data):
-            if isinstance(event, Skipped):
-                self._count_skipped(event)
-            else:
-                found.append((event, host_ns))
+        while data := self._transport.read(0.0 if found else timeout_s):
+            host_ns = self._clock()
+            self._record_raw(data, host_ns)
+            for event in self._decoder.feed(data):
+                if isinstance(event, Skipped):
+                    self._count_skipped(event)
+                else:
+                    found.append((event, host_ns))
         return found
 
     def _ask(self, request: Package, accept: Callable[[Package], Any]) -> Any:
@@ -351,7 +355,7 @@ class Ur(Arm[ArmState]):
         asked_deg_s = max((rate for _, rate in self._sent_deg_s), default=0.0)
         if trouble := self._trouble():
             self._forget(trouble)
-        elif self._values[HELD] == SILENT and self._streamed is not None:
+        elif self._values[HELD] == SILENT and asked_deg_s:
             self._silences += 1
             self._forget(f"its controller had no heartbeat for {SILENCE_S:g} s")
         elif self._values[HELD] == TOO_FAST:
@@ -369,13 +373,13 @@ class Ur(Arm[ArmState]):
             self._write(self._inputs.pack(dict(zip(INPUTS, values, strict=True))))
 
     def _present_deg_s(self) -> tuple[float, ...]:
-        """(6,) joint rates to send [deg/s]: zero without a valid velocity."""
+        """(6,) joint rates to send [deg/s]: zero without a valid velocity, and until the script follows."""
         with self._commanded:
             streamed = self._streamed
             if streamed is not None and self._clock() > streamed.expires_ns:
                 self._streamed = streamed = None
                 self._expired += 1
-        if streamed is None or self._resting:
+        if streamed is None or self._resting or self._values[HELD] != FOLLOWS:
             return (0.0,) * self._chain.joint_count
         joints_deg = self._joints_deg()
         rates = by_joints(streamed.velocity, self._chain, self.config, joints_deg)

@@ -212,7 +212,9 @@ class UrDouble:
     def _program_step(self, now_ns: int) -> tuple[FloatArray, float]:
         """(6,) rates [rad/s] and acceleration [rad/s^2] in this cycle."""
         rest = np.zeros(6)
-        if late := [name for name, (ns, seen) in self._watched.items() if now_ns - self._input_ns.get(name, seen) > ns]:
+        if late := [
+            name for name, (ns, seen) in self._watched.items() if now_ns - max(self._input_ns.get(name, 0), seen) > ns
+        ]:
             self._popup(f"RTDE watchdog: {late[0]}")
             return rest, STOP_RAD_S2
         if self._step[0] == "stopj" and np.any(self._qd):
@@ -389,7 +391,7 @@ class RtdeConnection(Connection):
             case Kind.CONTROLLER:
                 return Package(Kind.CONTROLLER, struct.pack(">4I", *self.controller.version))
             case Kind.OUTPUTS if len(payload) > 8:
-                (hz,), names = struct.unpack_from(">d", payload), tuple(payload[8:].decode("latin-1").split(","))
+                (hz,), names = struct.unpack_from(">d", payload), _names(payload[8:])
                 types = tuple(OUTPUTS.get(name, rtde.NOT_FOUND) for name in names)
                 cycle_hz = self.controller.config.cycle_hz
                 good = rtde.NOT_FOUND not in types and 1.0 <= hz <= cycle_hz
@@ -400,7 +402,7 @@ class RtdeConnection(Connection):
                     self.send(rtde.text_message(f"{name} is not an output", "RTDE", 1).encode())
                 return recipe.reply(Kind.OUTPUTS)
             case Kind.INPUTS:
-                names, others = tuple(payload.decode("latin-1").split(",")), self.controller.claimed_by_others(self)
+                names, others = _names(payload), self.controller.claimed_by_others(self)
                 types = tuple(rtde.IN_USE if name in others else INPUTS.get(name, rtde.NOT_FOUND) for name in names)
                 recipe = Recipe(len(self._recipes) + 1, names, types)
                 if recipe.refused:
@@ -427,6 +429,11 @@ class RtdeConnection(Connection):
         if self._started and self._outputs and self._count % self._every == 0 and not self.controller.silent:
             values = {name: self.controller.output(name) for name in self._outputs.names}
             self.send(self._outputs.pack(values).encode())
+
+
+def _names(payload: bytes) -> tuple[str, ...]:
+    """The names of a request; ur-rtde ends them with a comma."""
+    return tuple(payload.decode("latin-1").removesuffix(",").split(","))
 
 
 class ScriptConnection(Connection):
@@ -481,7 +488,10 @@ class DashboardConnection(Connection):
         }
         if command in done:
             action, words = done[command]
-            return words if (arm.remote or not arm.e_series) and action() else f"Failed to execute: {command}"
+            if (arm.remote or not arm.e_series) and action():
+                return words
+            early = command.startswith("unlock") and arm.remote
+            return "Cannot unlock protective stop until 5s after it" if early else f"Failed to execute: {command}"
         if command.startswith("load "):
             return f"File not found: {command[5:]}"
         return said.get(command, f"{UNKNOWN}: '{command}'")

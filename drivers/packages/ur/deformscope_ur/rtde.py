@@ -122,7 +122,7 @@ class Recipe:
     number: int
     names: tuple[str, ...]
     types: tuple[str, ...]
-    _format: struct.Struct = field(init=False, repr=False)
+    _format: struct.Struct = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         known = [FORMATS[one] for one in self.types] if not self.refused else []
