@@ -8,6 +8,7 @@ never the random values.
 """
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -116,8 +117,9 @@ class SessionErrors:
 
     def sensed(self, force_n: FloatArray, time_s: float) -> FloatArray:
         """(3,) output of the sensor for a force (3,) in the tip's frame [N]: its gain, without friction."""
-        aside = np.array([np.cos(self.friction_rad), np.sin(self.friction_rad), 0.0])
-        loaded_n = force_n + self.friction * float(np.linalg.norm(force_n)) * aside
+        size_n = math.sqrt(float(force_n @ force_n))
+        aside = self.friction * size_n * np.array([np.cos(self.friction_rad), np.sin(self.friction_rad), 0.0])
+        loaded_n = force_n + aside if size_n else force_n
         return np.asarray(self.gain_at(time_s) * loaded_n)
 
     def slab(self, scene: Scene) -> Scene:

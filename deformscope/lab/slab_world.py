@@ -60,6 +60,9 @@ CLEAR_M = 2e-4
 SAMPLES = 5
 """Samples of the modulus along each side of an element."""
 
+SPOTS: FloatArray = np.stack(np.meshgrid(*[np.linspace(-1.0, 1.0, 9)] * 2), axis=-1).reshape(-1, 2)
+"""Places of a tip, in half widths, below which the surface is looked at."""
+
 FOOT_ROUNDS = 3
 MOST_ROUNDS = 30
 MOST_PATCHES = 3
@@ -204,10 +207,8 @@ class SlabWorld:
             foot = center - ((center - foot) @ normal) * normal
         depth = (tip.radius or 0.0) - float((center - foot) @ normal)
         table = np.array([0.0, 0.0, TABLE_N_PER_M * max(0.0, (tip.radius or 0.0) - float(center[2]))])
-        side = np.linspace(-1.0, 1.0, 9)
-        spots = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
         # what is next to the slab counts where the slab ends
-        xy = np.clip(center[:2] + _half_m(tip) * spots, 0.0, self.scene.size_m)
+        xy = np.clip(center[:2] + _half_m(tip) * SPOTS, 0.0, self.scene.size_m)
         near = float(_overlap(tip, center, normal, np.column_stack([xy, self.scene.foam_height_m(xy)])).max())
         if near < -CLEAR_M:
             nothing = np.zeros(0, dtype=np.int64)

@@ -20,6 +20,7 @@ import pyarrow.compute as pc
 from deformscope.arrays import IntArray
 from deformscope.errors import InputError
 from deformscope.frames import StageResult, Stream
+from deformscope.recording.export.manifest import SCHEMA_VERSION
 from deformscope.recording.item_rows import Starts, entity_parts, objects_of
 from deformscope.recording.items import KINDS as STAGE_KINDS
 from deformscope.recording.items import VALUES
@@ -39,10 +40,6 @@ from deformscope_drivers.health import Health
 
 if TYPE_CHECKING:
     from rerun.chunk import Chunk
-
-SCHEMA_VERSION = 1
-"""Version of an export's streams, columns and messages. Version of the schema: a change that a reader
-would misread increases it."""
 
 UNITS = {
     "m": "m",

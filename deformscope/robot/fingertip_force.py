@@ -49,6 +49,10 @@ class FingertipForce:
     def link(self) -> Link:
         return self._pads.link
 
+    @property
+    def damaged(self) -> int:
+        return self._pads.damaged
+
     def health(self) -> Health:
         return self._pads.health()
 

@@ -1,5 +1,6 @@
 """Readings of the robot's devices in one control period."""
 
+import math
 from collections.abc import Hashable
 from dataclasses import dataclass, field
 
@@ -54,7 +55,7 @@ class ArmSample:
     @classmethod
     def of(cls, state: ArmState) -> "ArmSample":
         """Sample of a driver's state; if that is not finite, the pose is nan."""
-        finite = all(map(np.isfinite, (*state.position_m, *state.theta_rad)))
+        finite = all(map(math.isfinite, (*state.position_m, *state.theta_rad)))
         pose = state.T_base_end_effector if finite else np.full((4, 4), np.nan)
         return cls(state.stamp.host_ns, pose, state.joints_deg, state.fifo_count, state.torques_nm, state.currents)
 

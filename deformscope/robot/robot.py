@@ -42,6 +42,9 @@ class ForceSensor(Protocol):
     @property
     def link(self) -> Link: ...
 
+    @property
+    def damaged(self) -> int: ...
+
     def health(self) -> Health: ...
 
     def readings(self) -> Any: ...
@@ -427,13 +430,12 @@ class Robot:
         samples = tuple(ForceSample.of(reading, self.tare_n) for reading in forces)
         if samples:
             self._force = samples[-1]
-        health = self.force.health()
         return RobotObservation(
             self._clock(),
             samples,
             arms,
             tuple(CameraSample(picture.stamp.host_ns, fingerprint(picture.depth)) for picture in pictures),
-            max(health.resyncs, sum(health.refused.values())),  # damaged frames since it was opened
+            self.force.damaged,
             tuple(
                 (name, device.health().reason or str(device.link))
                 for name, device in (("arm", self.arm), ("force sensor", self.force), ("camera", self.camera))

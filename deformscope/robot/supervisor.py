@@ -401,7 +401,7 @@ class Supervisor(LatchingSupervisor[Fault]):
             return []
         joints_deg = np.array(sample.joints_deg)
         ahead_deg = joints_deg + self.limits.look_ahead_s * (joints_deg - np.array(before.joints_deg)) / span_s
-        links = self._chain.forward(ahead_deg)
+        links = self._chain.forward(ahead_deg[None])[0]  # of several, so that the present pose stays the latest one
         clearance, limits = self._clearance, self.limits
         inside_m = clearance.in_box_m(links, limits.arm_box)
         then_m, self._clear_m = self._clear_m, (clearance.over_table_m(links), clearance.to_itself_m(links), inside_m)

@@ -17,11 +17,12 @@ from deformscope.pictures.messages import counted
 from deformscope.pictures.report import Table, cell_text
 from deformscope.plain import Json, plain
 from deformscope.recording.export.export import Credits, ExportRequest, export
+from deformscope.recording.export.manifest import SCHEMA_VERSION
 from deformscope.recording.items import read_estimates, read_items, read_results
 from deformscope.recording.ledger import Discard, Losses, discard, inherited
 from deformscope.recording.losses import named
 from deformscope.recording.reader import Replay
-from deformscope.recording.streams import SCHEMA_VERSION, RecordingTables
+from deformscope.recording.streams import RecordingTables
 from deformscope.runs.result import FoundResult, LibraryResult
 from deformscope.stages.squeeze.table import LabelledTable
 from deformscope.terminal import Progress

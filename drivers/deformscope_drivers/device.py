@@ -318,6 +318,11 @@ class Device(ABC, Generic[MeasurementT]):
                 extra=self._extra_health() | {name: count for name, count in counts.items() if count},
             )
 
+    @property
+    def damaged(self) -> int:
+        """Number of damaged frames since it was opened, without the cost of `health`: for every control period."""
+        return max(self._tally.resyncs, sum(self._tally.refused.values()))
+
     def identity(self) -> Identity:
         """Model, serial number and firmware, as far as the device reported them while connecting; touches nothing."""
         return Identity()

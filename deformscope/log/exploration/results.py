@@ -120,8 +120,9 @@ def log_exploration_start(
             scene.log_base(rec, stream, np.eye(4) if base_from_surface is None else base_from_surface)
     batch = Batch(Place(0, np.zeros(0, np.int64)))
     start = ResultBatch(batch, 0)
+    empty = pictures.text_png("no touch yet")
     for path in (*display.MAPS, display.FORCE, display.SECTION, ERROR):
-        start.show_png(path, pictures.text_png, "no touch yet")
+        start.show(path, rr.EncodedImage(contents=empty, media_type="image/png"))
     start.show_png(display.GAIN, pictures.text_png, "no plan yet")
     start.show_points(f"{DENT_VIEW}/scale/label", np.zeros((1, 3)), TEXT, 0.002, ["no touch yet"])
     start.show_text(display.SUMMARY, "# No touch yet")

@@ -6,8 +6,9 @@ import msgspec
 
 from deformscope.errors import InputError
 from deformscope.frames import Stream
-from deformscope.recording.streams import SCHEMA_VERSION
 
+SCHEMA_VERSION = 1
+"""Version of an export's streams, columns and messages; a change that a reader would misread increases it."""
 DRIVER = "imported"
 """Driver name of a stream without a driver."""
 

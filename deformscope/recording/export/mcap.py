@@ -26,8 +26,9 @@ from deformscope.frames import ArmFrame, ColorFrame, DepthFrame, HandFrame, Wren
 from deformscope.images import PNG_SIGNATURE, decode_image
 from deformscope.plain import plain
 from deformscope.recording.export.images import Note
+from deformscope.recording.export.manifest import SCHEMA_VERSION
 from deformscope.recording.export.table_files import IMAGES
-from deformscope.recording.streams import SCHEMA_VERSION, TRANSFORMS, RecordedStream, RecordingTables
+from deformscope.recording.streams import TRANSFORMS, RecordedStream, RecordingTables
 from deformscope.rows import FRAMES, field_of
 from deformscope.stages.map.exploration import SurfaceEstimate
 from deformscope.stages.map.measured import LookFrames

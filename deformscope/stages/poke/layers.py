@@ -7,7 +7,6 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 from scipy.sparse import csr_array
 from scipy.spatial import Delaunay
 
@@ -62,6 +61,8 @@ class MeasuredSurface:
         off = self.points[:, 2] - self.points[:, :2] @ plane[:2] - plane[2]
         if float(np.sqrt(np.mean(off**2))) <= FLAT_SHARE * lattice_spacing:
             return np.asarray(place @ plane[:2] + plane[2])
+        from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
+
         found = np.asarray(LinearNDInterpolator(self._hull, self.points[:, 2])(place))
         return np.where(np.isnan(found), NearestNDInterpolator(self.points[:, :2], self.points[:, 2])(place), found)
 

@@ -376,7 +376,7 @@ def _rotation(axis: int, angle_rad: float) -> FloatArray:
     cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
     first, second = (axis + 1) % 3, (axis + 2) % 3
     matrix = np.eye(3)
-    matrix[[first, second], [first, second]] = cosine
+    matrix[first, first] = matrix[second, second] = cosine
     matrix[first, second], matrix[second, first] = -sine, sine
     return matrix
 

@@ -97,8 +97,8 @@ class OptoforceDouble:
         each = self.sensors.sensitivities()
         self._per_load = np.array([[1.0] * kind.axes]) / np.stack([one.per_count for one in each])
         nominal = np.array([one.counts_at_nominal for one in each], float)
-        self._overload = self.sensors.overload_ratio * nominal
-        self._saturation = np.minimum(self.sensors.saturation_ratio * nominal, 32767.0)
+        self._overload: list[float] = (self.sensors.overload_ratio * nominal).ravel().tolist()
+        self._saturation: list[float] = np.minimum(self.sensors.saturation_ratio * nominal, 32767.0).ravel().tolist()
         self._sample_ns = SAMPLE_NS / (1.0 + self.sensors.clock_ppm * 1e-6)
         self._line = Line(self.sensors.bytes_per_s)
         self.unplugged: set[int] = set()
@@ -112,7 +112,6 @@ class OptoforceDouble:
 
     def power_up(self, now_ns: int) -> None:
         """Start as after switching on: defaults, zero point cleared, counter at 0."""
-        shape = (self.sensors.kind.channels, self.sensors.kind.axes)
         self.settings = _VolatileSettings(cleared_ns=now_ns - ZERO_REST_NS)
         self._commands = protocol.CommandDecoder()
         self._line.clear()
@@ -121,8 +120,9 @@ class OptoforceDouble:
         self._sample = 0  # the next one to be taken
         self._next_sent = int(self.settings.speed)
         self._sent = 0
-        self._filtered: FloatArray | None = None
-        self._zero = np.zeros(shape)
+        # numbers of all axes of all channels, as lists: a thousand times a second, short arrays cost more
+        self._filtered: list[float] | None = None
+        self._zero = [0.0] * len(self._overload)
 
     def receive(self, data: bytes, now_ns: int) -> None:
         """Take bytes that the host sent, in pieces of any size."""
@@ -162,11 +162,11 @@ class OptoforceDouble:
     def _set_zero(self, zero: protocol.Zero, now_ns: int) -> None:
         settings = self.settings
         if zero is protocol.Zero.CLEAR:
-            self._zero = np.zeros_like(self._zero)
+            self._zero = [0.0] * len(self._zero)
             settings.cleared_ns = now_ns if settings.cleared_ns is None else settings.cleared_ns
         elif settings.cleared_ns is not None and now_ns - settings.cleared_ns >= ZERO_REST_NS:
             self._take_samples(self._sample_at(now_ns))
-            self._zero = np.zeros_like(self._zero) if self._filtered is None else np.round(self._filtered)
+            self._zero = [float(round(count)) for count in self._filtered or [0.0] * len(self._zero)]
             settings.cleared_ns = None
 
     def _acknowledge(self, result: int, now_ns: int) -> None:
@@ -179,10 +179,15 @@ class OptoforceDouble:
             self._take_samples(self._next_sent)
             if not self.silent:
                 assert self._filtered is not None
-                counts = np.minimum(np.maximum(np.rint(self._filtered - self._zero), -32768.0), 32767.0)
-                counts[list(self.unplugged)] = 0.0
+                axes = self.sensors.kind.axes
+                counts = [
+                    min(max(round(count - zero), -32768), 32767)
+                    for count, zero in zip(self._filtered, self._zero, strict=True)
+                ]
+                for channel in self.unplugged:
+                    counts[channel * axes : (channel + 1) * axes] = [0] * axes
                 counter = self._sample - 1 if self.sensors.counts_samples else self._sent
-                rows = tuple(tuple(channel) for channel in counts.astype(int).tolist())
+                rows = tuple(tuple(counts[first : first + axes]) for first in range(0, len(counts), axes))
                 reading = protocol.Reading(self.sensors.kind, counter % 0x10000, self._status(), rows)
                 self._line.send(protocol.encode(reading), sent_ns)
             self._sent += 1
@@ -203,21 +208,23 @@ class OptoforceDouble:
         memory = 1 if cutoff_hz is None else math.ceil(FILTER_MEMORY / weight)
         for sample in range(max(self._sample, last - memory + 1), last + 1):
             load = np.asarray(self.sensors.scene(self._time_ns(sample) * 1e-9), float) * self._per_load
-            noise = self._random.standard_normal(self._zero.shape) * self.sensors.noise_counts
-            counts = load + self.sensors.offset_counts + noise
-            counts = np.minimum(np.maximum(counts, -self._saturation), self._saturation)
-            if self._filtered is None:
-                self._filtered = counts
-            else:
-                self._filtered = self._filtered + weight * (counts - self._filtered)
+            noise, offset = self._random.standard_normal(len(self._zero)).tolist(), self.sensors.offset_counts
+            counts = [
+                min(max(one + offset + chance * self.sensors.noise_counts, -most), most)
+                for one, chance, most in zip(load.ravel().tolist(), noise, self._saturation, strict=True)
+            ]
+            before = counts if self._filtered is None else self._filtered
+            self._filtered = [old + weight * (new - old) for old, new in zip(before, counts, strict=True)]
         self._sample = max(self._sample, last + 1)
 
     def _status(self) -> protocol.Status:
         """The troubled sensor's; where several are, the first one's."""
         assert self._filtered is not None
-        over = np.abs(self._filtered - self.sensors.offset_counts) > self._overload
-        if not self.unplugged and not over.any():
+        offset, limits = self.sensors.offset_counts, self._overload
+        beyond = [abs(count - offset) > most for count, most in zip(self._filtered, limits, strict=True)]
+        if not self.unplugged and not any(beyond):
             return _WELL
+        over = np.reshape(beyond, (-1, self.sensors.kind.axes))
         over[list(self.unplugged)] = False
         troubled = sorted(self.unplugged | set(np.flatnonzero(over.any(axis=1)).tolist()))
         return protocol.Status.of(
