@@ -10,7 +10,7 @@ from deformscope.experiments.explore.options import ExploreOptions
 from deformscope.experiments.explore.seen_surface import SeenSurface
 from deformscope.stages.fit.estimate import Curve
 from deformscope.stages.map.measured import TouchMeasurement
-from deformscope.stages.map.perception import SeenDent, TouchSurface
+from deformscope.stages.map.perception import Hyperparameters, SeenDent, TouchSurface
 from deformscope.stages.map.surface import fit_surface
 from deformscope.stages.map.thesis import dent_of, thesis_beta
 from deformscope.stages.map.touch_beta import BallContact, fit_touch
@@ -89,14 +89,20 @@ def fit_beta(
 
 
 def touch_surface(
-    touched: TouchMeasurement, fit: ContactFit, surface: SeenSurface, arm: ArmCompliance, options: ExploreOptions
+    touched: TouchMeasurement,
+    fit: ContactFit,
+    surface: SeenSurface,
+    arm: ArmCompliance,
+    options: ExploreOptions,
+    before: Hyperparameters | None = None,
 ) -> TouchSurface:
     """The surface under a touch that is not rigid, and the dent as in the thesis: from the touch surface's own process,
-    with virtual points where the ball is."""
+    with virtual points where the ball is. before: hyper-parameters under the touch before"""
     ball = _ball(touched, fit, arm, options.tip_radius_m)
     tactile = tactile_points(ball.lowest_m, ball.radius_m, ball.depth_m, normal=touched.normal)
     near = np.abs(touched.after_m[:, :2] - touched.xy_m).max(axis=1) < THESIS_ROI_M
-    pressed = fit_surface(touched.after_m[near], known_m=tactile, known_noise_m=np.full(len(tactile), TACTILE_NOISE_M))
+    noise_m = np.full(len(tactile), TACTILE_NOISE_M)
+    pressed = fit_surface(touched.after_m[near], known_m=tactile, known_noise_m=noise_m, like=before)
     dent = dent_of(surface.process, pressed, touched.xy_m, options.thesis.beta_grid_m)
     return TouchSurface(dent, tactile, pressed.learned)
 

@@ -36,7 +36,7 @@ from deformscope.stages.map.exploration import (
 )
 from deformscope.stages.map.map_score import boundary_distance, called_labels, match_regions
 from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
-from deformscope.stages.map.perception import Perception, TouchPerception, TrainedField
+from deformscope.stages.map.perception import Hyperparameters, Perception, TouchPerception, TrainedField
 from deformscope.stages.map.plan import ALLOWED
 from deformscope.stages.poke.contact import EXPONENT, ArmCompliance
 from deformscope.stages.poke.creep import CreepFit
@@ -253,6 +253,7 @@ class Explorer:
         self._without_map = 0
         self._off_seen_m = 0.0
         self._trained: TrainedField | None = None
+        self._under: Hyperparameters | None = None  # of the newest surface under a touch
 
     @property
     def given_up(self) -> str:
@@ -383,8 +384,9 @@ class Explorer:
             return None
         under = beta.surface
         if under is None and options.beta_model == "volume" and contact is not None and not contact.fit.rigid:
-            given = touched.approach, contact.fit, self.surface, self._arm, options
+            given = touched.approach, contact.fit, self.surface, self._arm, options, self._under
             under = self._stage("touch surface", lambda: touch_surface(*given))
+        self._under = self._under if under is None else under.learned
         return TouchPerception(
             number=len(self.touches),
             masks=None if touched.pixels is None else touched.pixels.masks(),
