@@ -29,7 +29,7 @@ TYPED = [(kind, body) for kind, body in printed.FENCE.findall(README.read_text("
 """Blocks of the README, but for `make demo`, whose print is compared, and `make test`, which is this."""
 WITHOUT_DEVICES = ("deformscope doctor rig.toml",)
 """Ends with the exit status of a rig that does not work, as none of its devices is plugged in here."""
-QUICK = ("deformscope calibrate beta sample:pair", "deformscope doctor --example")
+QUICK = ("deformscope calibrate beta sample:pair", "deformscope rig new")
 
 
 def fences(page: Path) -> list[tuple[str, str]]:

@@ -139,7 +139,7 @@ CASES: Mapping[str, Case] = {
         "doctor missing.toml",
         refused=True,
     ),
-    "doctor": _of("doctor --example --doubles --json d.json", on_clock=True),
+    "doctor": _of("rig new rig.toml --doubles", on_clock=True),
     "help": _of(
         "--help", "explore --help", "calibrate beta --help", "squeeze --help", "classify --help", "replay --help"
     ),

@@ -68,6 +68,7 @@ COMMANDS: dict[str, Command] = {
     ),
     "classify": _command("evaluate classifiers of contents from squeezes", "ClassifyConfig", "classify"),
     "flow": _command("dense optical flow of two images", "FlowConfig", "flow"),
+    "rig new": _command("write a rig file for what is plugged in", "NewRigConfig", "rig", "new"),
     "doctor": _command("check a rig, and name remedies", "DoctorConfig", "doctor"),
     "devices": _command("connected devices and their health", "DevicesConfig", "devices"),
     "calibrate tip": _command("find the tip's position on the arm, by tilting it", "TipConfig", "calibrate_setup"),
@@ -112,7 +113,12 @@ COMMANDS: dict[str, Command] = {
 }
 """The commands by name; a name of two words (`calibrate beta`) makes a group."""
 
-HEADINGS = {"demo": "Measure", "doctor": "Rig and robot", "replay": "Recordings and data sets", "bench": "This machine"}
+HEADINGS = {
+    "demo": "Measure",
+    "rig new": "Rig and robot",
+    "replay": "Recordings and data sets",
+    "bench": "This machine",
+}
 """Text of `deformscope --help` above a command."""
 
 BEGIN = (

@@ -43,7 +43,7 @@ class ListedDevice:
 
 def run(config: DevicesConfig) -> None:
     """List connected devices, and query those that can be queried without harm."""
-    found = [_listed(one, config.probe) for one in _found()]
+    found = [_listed(one, config.probe) for one in search()]
     write_json([dataclasses.asdict(one) for one in found], config.json)
     if not found:
         print(NOTHING)
@@ -60,7 +60,7 @@ def run(config: DevicesConfig) -> None:
         show_table(one.port, [(what, words) for what, words in rows.items() if words])
 
 
-def _found() -> list[Any]:
+def search() -> list[Any]:
     """All devices that any search finds; a failed search is reported and does not hide the others."""
     searches: list[Callable[[], list[Any]]] = [
         find_doubles,
@@ -72,9 +72,9 @@ def _found() -> list[Any]:
         lambda: list(discover_realsense()),
     ]
     found: list[Any] = []
-    for search in searches:
+    for one in searches:
         try:
-            found += search()
+            found += one()
         except Exception as error:
             say(f"a search failed: {' '.join(str(error).split()) or type(error).__name__}")
     return found

@@ -6,14 +6,12 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from importlib import resources
 from pathlib import Path
 from typing import Literal
 
 from deformscope.cli.common import say, show, write_json
 from deformscope.config import DoctorConfig
 from deformscope.errors import InputError
-from deformscope.file_io import resolve
 from deformscope.lab.rig_members import member_of
 from deformscope.rig.rig_file import Rig, RigDevice, load_rig
 from deformscope.runs.commissioning import RigStep, begin, commissioning_steps, next_step
@@ -46,15 +44,10 @@ class Unfit(InputError):
 
 def run(config: DoctorConfig) -> None:
     """Check everything, report all of it, and raise Unfit where something fails."""
-    if config.example:
-        example = Path(str(resources.files("deformscope"))) / "lab" / "rig-example.toml"
-        print((resolve("sample:rig") if config.doubles else example).read_text(encoding="utf-8"), end="")
-        return
     path = Path(config.rig).expanduser()
     if path.is_file() and not path.read_text(encoding="utf-8", errors="replace").strip():
         step = begin(config.rig)
-        doubles = step.command.replace(" >", " --doubles >")
-        say(f"{config.rig} is empty. With hardware: {step.command}; without: {doubles}")
+        say(f"{config.rig} is empty. With hardware: {step.command}; without: {step.command} --doubles")
         write_json({"rig": config.rig, "findings": [], "first_day": [step], "next": step.command}, config.json)
         return
     rig = load_rig(config.rig, trusted=config.trust_rig)

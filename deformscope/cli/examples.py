@@ -1,6 +1,6 @@
 """The example at the end of each command's `--help`: lines that run as they are typed, in an empty folder."""
 
-_DOUBLES = "deformscope doctor --example --doubles > rig.toml\n"
+_DOUBLES = "deformscope rig new rig.toml --doubles\n"
 _PLACED = _DOUBLES + "deformscope calibrate tip rig.toml\ndeformscope calibrate place rig.toml\n"
 _SEEN = _PLACED + "deformscope calibrate camera rig.toml\ndeformscope calibrate force rig.toml\n"
 _PAIR = "deformscope calibrate beta sample:pair --record pair.rrd\n"
@@ -25,6 +25,7 @@ EXAMPLES: dict[str, str] = {
     "squeeze": "deformscope squeeze lab:containers --content rice --container box-01",
     "classify": "deformscope classify sample:table --quick --report classified.html",
     "flow": "deformscope flow sample:tension/frame_152.png sample:tension/frame_160.png --out flow.npz",
+    "rig new": "deformscope rig new rig.toml --device arm=kuka --device tip=optoforce:/dev/ttyACM0",
     "doctor": "deformscope doctor sample:rig",
     "devices": "deformscope devices",
     "calibrate tip": _DOUBLES + "deformscope calibrate tip rig.toml",

@@ -40,6 +40,7 @@ from deformscope.config.rigs import (
     ImportConfig,
     LiveConfig,
     NewDeviceConfig,
+    NewRigConfig,
     RecordConfig,
     RecoverConfig,
     ReplayConfig,

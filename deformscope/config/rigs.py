@@ -28,25 +28,35 @@ class DevicesConfig(CommandOptions):
 
 
 @dataclass(frozen=True, slots=True)
+class NewRigConfig(CommandOptions):
+    """Write a rig file for what is plugged in: serial ports, CAN, cameras and arms are searched for, and a person at
+    the terminal is asked which driver each has. Nothing moves. The file has comments; `deformscope doctor` then names
+    the next step. If no device is found, it has an example of each."""
+
+    rig: Annotated[str, Positional, arg(metavar="RIG.toml")]
+    """The new file."""
+    device: Annotated[
+        UseAppendAction[tuple[str, ...]], arg(metavar="NAME=DRIVER:ADDRESS", help_behavior_hint="(repeatable)")
+    ] = ()
+    """A device with its driver, and its serial port, URL, CAN bus or host; without an address, the only one."""
+    doubles: bool = False
+    """Doubles over a simulated table instead."""
+    yes: bool = False
+    """Take all found devices with a known driver, without asking."""
+
+
+@dataclass(frozen=True, slots=True)
 class DoctorConfig(CommandOptions):
     """Check a rig: its file, every device of it for a few seconds, and the disk. Report faults, their remedies, and the
     next command on the way to an exploration. Nothing moves."""
 
-    rig: flags.RigFlag = ""
+    rig: flags.RigFlag
     """A rig file (.toml), or lab:NAME."""
-    example: bool = False
-    """Print a rig file as a start, and do nothing else."""
-    doubles: bool = False
-    """With --example: a rig file of doubles over a simulated table."""
     seconds: Annotated[float, flags.one_word("NUMBER", flags.positive)] = 2.0
     """Duration for which each device is read [s]."""
     trust_rig: flags.TrustFlag = False
     json: flags.JsonFlag = None
     """Write the findings as JSON; with -, stdout is the JSON alone."""
-
-    def check(self) -> None:
-        if not self.rig and not self.example:
-            raise InputError("a rig file, or lab:NAME", "none", "deformscope doctor --example > rig.toml")
 
 
 @dataclass(frozen=True, slots=True)
@@ -339,9 +349,7 @@ class CertifyConfig(RecordedOptions):
 
     def check(self) -> None:
         if self.save and self.rig.startswith("lab:"):
-            raise InputError(
-                "a rig file, to --save into", self.rig, "deformscope doctor --example --doubles > rig.toml"
-            )
+            raise InputError("a rig file, to --save into", self.rig, "deformscope rig new rig.toml --doubles")
 
 
 @dataclass(frozen=True, slots=True)

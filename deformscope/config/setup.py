@@ -36,7 +36,7 @@ class SetupOptions(RecordedOptions):
 
     def check(self) -> None:
         if self.write and self.rig.startswith(SAMPLE_SCHEME):
-            hint = "--no-write, or deformscope doctor --example --doubles > rig.toml"
+            hint = "--no-write, or deformscope rig new rig.toml --doubles"
             raise InputError("a rig file that can be written into", "a sample", hint, self.rig)
 
 

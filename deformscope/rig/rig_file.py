@@ -25,7 +25,7 @@ from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.interface import DRIVERS, DeviceDriver
 
 LAB_SCHEME = "lab:"
-EXAMPLE = "deformscope doctor --example"
+EXAMPLE = "deformscope rig new RIG.toml"
 NAME_HINT = "letters, digits, - and _, 64 at most"
 NAME_CHARACTERS = 64
 FILE_BYTES = 100_000

@@ -38,7 +38,7 @@ HINTS = {
     "arm: collisions": "an arm that reports joint torques or motor currents; collision_nm above 0 in [workspace]",
     "camera: alive": "reconnect the camera, and close other programs that use it",
     "camera": "the camera's cable and port (USB 3), other programs that use it; fps in the rig file",
-    "calibration": "measure it and write it into the rig file; deformscope doctor --example shows how",
+    "calibration": "measure it and write it into the rig file; docs/howto/write-a-rig-file.md",
     "age": "deformscope calibrate, with the name of the row, measures it again",
     "tip: in free air": "lift the tip by the joystick; or T_arm_surface in the rig file is wrong",
     "plan: force": "a smaller target_force_n, or a higher soft_stop_n, in the rig file",

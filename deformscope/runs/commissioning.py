@@ -24,7 +24,7 @@ class RigStep:
 
 def begin(name: str) -> RigStep:
     """The first step, for a file without devices. name: name of the rig file"""
-    return RigStep("devices", "to do", "no device in the file", f"deformscope doctor --example > {name}")
+    return RigStep("devices", "to do", "no device in the file", f"deformscope rig new {name}")
 
 
 def commissioning_steps(rig: Rig, name: str, today: datetime.date | None = None) -> tuple[RigStep, ...]:

@@ -92,7 +92,7 @@ def test_every_command_exists_and_has_help(capsys: Capture) -> None:
 
 
 DATASET = {f"dataset {what}" for what in ("list", "relabel", "discard", "merge", "repair")}
-BY_ITSELF = {"arm where", "arm home", "arm files"}
+BY_ITSELF = {"arm where", "arm home", "arm files", "rig new"}
 ONLY_LOOK = (
     {"devices", "doctor", "verify", "recover", "double", "bench", "export", "discard", "report", "catalog"}
     | {"new-device", "catalog compare", "completion", "sweep"}

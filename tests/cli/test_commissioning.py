@@ -72,9 +72,9 @@ def test_a_load_on_a_scale_gives_the_gain_of_a_sensor_that_nobody_knows(
     tmp_path: Path, capsys: Capture, monkeypatch: Patch
 ) -> None:
     faulthandler.cancel_dump_traceback_later()
-    assert main(["doctor", "--example", "--doubles"]) == 0
     rig = tmp_path / "rig.toml"
-    rig.write_text(capsys.readouterr().out.replace("hidden = 1 ", f"hidden = {HIDDEN} "))
+    assert main(["rig", "new", str(rig), "--doubles"]) == 0
+    rig.write_text(rig.read_text().replace("hidden = 1 ", f"hidden = {HIDDEN} "))
     _, randomized = table_of(RigParts.of(load_rig(rig)))
     rig.write_text(edited(rig.read_text(), truth_of(randomized)))
     use_a_simulated_clock(monkeypatch)
@@ -88,9 +88,8 @@ def test_a_load_on_a_scale_gives_the_gain_of_a_sensor_that_nobody_knows(
 def test_taps_are_found_in_their_recording_again(tmp_path: Path, capsys: Capture, monkeypatch: Patch) -> None:
     """The same frames, but for those before the taps, give the same offset."""
     faulthandler.cancel_dump_traceback_later()
-    assert main(["doctor", "--example", "--doubles"]) == 0
     rig, recording, found = tmp_path / "rig.toml", tmp_path / "taps.rrd", tmp_path / "time.json"
-    rig.write_text(capsys.readouterr().out)
+    assert main(["rig", "new", str(rig), "--doubles"]) == 0
     use_a_simulated_clock(monkeypatch)
     offsets = []
     for more in (["--record", str(recording)], ["--measured", str(recording)]):
@@ -111,9 +110,10 @@ def test_doctor_s_list_leads_from_an_empty_file_to_an_exploration(
     faulthandler.cancel_dump_traceback_later()  # on a busy machine it takes longer than what is reported as a hang
     rig = tmp_path / "rig.toml"
     rig.write_text("")
-    assert doctors_next(rig, capsys).startswith("deformscope doctor --example > ")
-    assert main(["doctor", "--example", "--doubles"]) == 0
-    text = capsys.readouterr().out.replace("hidden = 1 ", f"hidden = {HIDDEN} ")
+    first = shlex.split(doctors_next(rig, capsys))
+    assert first == ["deformscope", "rig", "new", str(rig)]
+    assert main([*first[1:], "--doubles"]) == 0
+    text = rig.read_text().replace("hidden = 1 ", f"hidden = {HIDDEN} ")
     rig.write_text(text + f'\n[record]\nfolder = "{tmp_path}"\n')
     done = []
     while "explore" not in (following := doctors_next(rig, capsys)):

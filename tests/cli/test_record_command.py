@@ -197,13 +197,6 @@ def test_doctor_says_what_works_and_what_does_not(rig: Path, tmp_path: Path, cap
     assert findings["pads (dsa, double)"]["verdict"] == "ok"
 
 
-def test_the_example_of_doctor_is_a_rig_file(tmp_path: Path, capsys: Capture) -> None:
-    from deformscope.rig.rig_file import parse_rig
-
-    assert main(["doctor", "--example"]) == 0
-    assert len(parse_rig(capsys.readouterr().out, "example").devices) == 6
-
-
 def test_devices_lists_running_doubles_with_serial_and_health(
     tmp_path: Path, started: list[subprocess.Popen[str]], capsys: Capture, monkeypatch: Patch
 ) -> None:
@@ -225,7 +218,7 @@ def test_devices_lists_running_doubles_with_serial_and_health(
 def test_devices_on_a_machine_with_none_helps(capsys: Capture, monkeypatch: Patch) -> None:
     from deformscope.cli import devices
 
-    monkeypatch.setattr(devices, "_found", list)
+    monkeypatch.setattr(devices, "search", list)
     assert main(["devices"]) == 0
     said = capsys.readouterr().out
     assert "No device was found" in said

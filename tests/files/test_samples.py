@@ -102,9 +102,11 @@ def test_the_table_has_the_trials_of_the_squeezes() -> None:
         np.testing.assert_allclose(features, squeezes.modalities[name], rtol=1e-4)
 
 
-def test_the_rig_is_what_doctor_prints_and_is_not_written_into(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["doctor", "--example", "--doubles"]) == 0
-    assert capsys.readouterr().out == resolve("sample:rig").read_text(encoding="utf-8")
+def test_the_rig_is_what_rig_new_writes_and_is_not_written_into(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["rig", "new", str(tmp_path / "rig.toml"), "--doubles"]) == 0
+    assert (tmp_path / "rig.toml").read_text(encoding="utf-8") == resolve("sample:rig").read_text(encoding="utf-8")
     assert {one.double for one in load_rig("sample:rig").devices} == {True}
     assert main(["calibrate", "tip", "sample:rig"]) == 2
     assert "--no-write" in capsys.readouterr().err

@@ -84,7 +84,7 @@ def test_what_is_wrong_is_said(text: str, words: str) -> None:
 
 
 def test_a_file_that_is_not_there_is_said(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"no such file.*--example"):
+    with pytest.raises(InputError, match=r"no such file.*rig new"):
         load_rig(tmp_path / "none.toml")
     with pytest.raises(InputError, match="lab:bench"):
         load_rig("lab:beach")
