@@ -49,7 +49,7 @@ def _plugged_in(asks: bool) -> list[NewDevice]:
             found.append(NewDevice.of(driver, one.port, one.serial))
         elif not asks:
             say(f"left out: {one.port}, {one.name or 'unknown'}: name its driver by --device NAME=DRIVER:{one.port}")
-    while asks and (line := _line("another device, as arm=kuka or tip=netft:192.168.1.1; empty = no more: ")):
+    while asks and (line := _line("another device, NAME=DRIVER:ADDRESS; empty = no more: ")):
         found.append(NewDevice.parse(line))
     return found
 

@@ -71,7 +71,7 @@ class NewDevice:
         name, equals, rest = text.partition("=")
         driver, _, address = rest.partition(":")
         right = equals and driver and name.replace("-", "").replace("_", "").isalnum()
-        check(bool(right), "NAME=DRIVER or NAME=DRIVER:ADDRESS, as arm=kuka", text)
+        check(bool(right), "NAME=DRIVER or NAME=DRIVER:ADDRESS, as tip=optoforce:/dev/ttyACM0", text)
         return cls.of(driver, address, name=name)
 
 
