@@ -129,6 +129,9 @@ class ExploreConfig(ExploreFlags, RecordedOptions):
     clean: bool = False
     """Simulate without hidden errors: the arm as calibrated, exact force, and foam without scatter. Otherwise these
     errors are drawn from the seed, as large as on a real table."""
+    arm: Annotated[str, arg(metavar="DRIVER")] = ""
+    """The arm of a simulated scene: the double of this driver of a rig file; default: an arm whose joints
+    measure torques."""
     camera: Literal["plain", "primesense", "realsense"] = "plain"
     """Error model of the simulated depth camera: noise alone, or disparity of a PrimeSense or a RealSense D435.
     Disparity has steps, bleeding edges, shadows, and no depth at grazing angles."""
@@ -161,6 +164,8 @@ class ExploreConfig(ExploreFlags, RecordedOptions):
             raise InputError("--paused with --viewer page", f"--viewer {self.output.viewer}", "--viewer page")
         if not self.rig and not self.list_scenarios:
             raise InputError("a rig file, or lab:NAME", "none", "deformscope explore --list-scenarios")
+        if self.arm and (not self.rig.startswith("lab:") or self.robot != "plain"):
+            raise InputError("--arm with a simulated scene, and without --robot", self.rig, "lab:two-60-150")
         if self.camera != "plain" and not self.rig.startswith("lab:"):
             raise InputError("--camera with a simulated scene alone", f"{self.rig}", "lab:two-60-150")
         if self.robot != "plain" and not self.rig.startswith("lab:"):

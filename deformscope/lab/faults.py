@@ -129,6 +129,8 @@ class FaultsToCome:
 
     def __init__(self, lab: TouchLab, faults: Sequence[FaultAt], seed: int) -> None:
         self._lab = lab
+        if any(fault.injected in ARM for fault in faults):
+            lab.arm_double  # noqa: B018
         self.struck: list[tuple[FaultAt, int]] = []
         self._waiting: list[tuple[FaultAt, Phase, int, np.random.Generator]] = []
         for number, fault in enumerate(faults):

@@ -1,5 +1,6 @@
 """A simulated scene to explore: finite element foam under an arm, a force sensor and a depth camera, on one clock."""
 
+import dataclasses
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from scipy.interpolate import make_interp_spline
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
+from deformscope.lab.arms import arm_in_lab, start_deg
 from deformscope.lab.buried_world import slab_world
 from deformscope.lab.creeping_world import CreepingWorld, Relaxation
 from deformscope.lab.depth_view import DepthView
@@ -24,13 +26,14 @@ from deformscope.rig.rig_file import Tool, Workspace
 from deformscope.rig.sections import CableSection, ShapeSection
 from deformscope.rig.source import RigMember, RigSource
 from deformscope.robot.description import AS_CAPSULES, Removal, RobotDescription, arm_shape, describe
-from deformscope.robot.placement import Placement, best_joints
+from deformscope.robot.placement import Placement
 from deformscope.robot.setup import T_BASE_SURFACE, CameraView, Setup, Truth
 from deformscope.solid import Capsule, PosedSolid
+from deformscope_drivers.arm.kinematics import transform
 from deformscope_drivers.depth_camera import SENSORS, View
 from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig
 from deformscope_drivers.device import Device
-from deformscope_drivers.interface import DRIVERS
+from deformscope_drivers.interface import DRIVERS, DeviceDriver
 from deformscope_drivers.jaco.chains import J2N6S300
 from deformscope_drivers.jaco.config import JacoConfig
 from deformscope_drivers.memory import SimulatedClock
@@ -103,7 +106,17 @@ CAMERA_AZIMUTH_DEG = -90.0
 """The camera looks across the long edge at y = 0. The arm is beyond the opposite edge."""
 BOX_LOW_M, BOX_HIGH_M = (-0.40, -0.66, 0.0), (0.45, 0.10, 0.75)
 """Range of the tip, in the base frame: above the table, and to the arm's parking place."""
-UPRIGHT = np.array([0.0, 0.0, 1.0])
+T_BASE_AHEAD = transform(np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), (0.75, -0.30, 0.0))
+AHEAD_BOX_M = (0.15, -0.45, 0.0), (0.90, 0.45, 0.75)
+"""The same for other arms, which reach the table straight ahead, from further away."""
+
+
+def _arm_driver(name: str) -> DeviceDriver:
+    """Raises InputError for a driver without an arm that moves on commands and has a double for a laboratory."""
+    known = {one.name: one for one in DRIVERS.of_kind("arm") if one.in_lab is not None and one.chains()}
+    if name not in known:
+        raise InputError(f"--arm {', '.join(known)}", name, "pip install the package of its driver")
+    return known[name]
 
 
 class SceneLab:
@@ -122,13 +135,16 @@ class SceneLab:
         robot: RobotBody | None = None,
         described: RobotDescription = AS_CAPSULES,
         travel_speed_m_s: float = 0.05,
+        arm: str = "",
     ) -> None:
         """parked_m: first z of the tip's centre [m, surface frame]; errors: distributions of its hidden errors, default
         none; sensor: sensor of SENSORS, the camera's error model, empty = noise alone
         robot: that the camera sees, None = capsules; described: the known description of its shape; travel_speed_m_s:
-        between touches"""
+        between touches; arm: driver of the arm, whose double stands there in place of a Jaco"""
         self._robot, self._described = robot, described
-        self._workspace = Workspace(low_m=BOX_LOW_M, high_m=BOX_HIGH_M, travel_speed_m_s=travel_speed_m_s)
+        self._driver = arm or "jaco"
+        low_m, high_m = AHEAD_BOX_M if arm else (BOX_LOW_M, BOX_HIGH_M)
+        self._workspace = Workspace(low_m=low_m, high_m=high_m, travel_speed_m_s=travel_speed_m_s)
         self.drawn = (errors or LabErrors.none()).draw([seed, scene.seed])
         foam = self.drawn.foam(scene)
         self.scene = scene = self.drawn.slab(scene)
@@ -143,14 +159,18 @@ class SceneLab:
         view = DepthViewConfig(width=320, height=240, azimuth_deg=CAMERA_AZIMUTH_DEG)
         self.view = DepthView(scene, view)
         tool = Tool(radius_m=tip_radius_m)
-        self.placement = Placement(T_BASE_SURFACE, tool)
+        self.placement = Placement(T_BASE_AHEAD if arm else T_BASE_SURFACE, tool)
         parked = np.array([scene.size_m[0] / 2, scene.size_m[1] / 2, parked_m])
         touching = np.array([*parked[:2], scene.thickness_m])
+        other = None
+        if arm:
+            config = dataclasses.replace(_arm_driver(arm).config(), linear_limit_m_s=travel_speed_m_s)
+            other = arm_in_lab(arm, config, self.placement, (parked, touching), self.clock, seed)
         self.lab = TouchLab(
             self,
             self.clock,
             tool=tool,
-            T_base_surface=T_BASE_SURFACE,
+            T_base_surface=self.placement.T_base_surface,
             arm_stiffness_n_m=self.drawn.arm_n_per_m,
             sensed=self.drawn.sensed,
             arm_config=JacoConfig(state_hz=100.0, linear_limit_m_s=travel_speed_m_s),
@@ -162,7 +182,8 @@ class SceneLab:
                 intrinsics=self.view.intrinsics,
                 sensor=SENSORS[sensor] if sensor else None,
             ),
-            start_deg=best_joints(J2N6S300, [self.placement.T_base_ee(place, UPRIGHT) for place in (parked, touching)]),
+            arm=other,
+            start_deg=None if arm else start_deg(J2N6S300, self.placement, (parked, touching)),
             seed=seed,
             goes_on=isinstance(self._world, CreepingWorld),
         )
@@ -194,6 +215,7 @@ class SceneLab:
             clock=self.clock,
             wait_until=self.lab.wait_until,
             described=self._described,
+            press=lambda force_n: self.lab.push_tip(np.asarray(force_n, np.float64)),
         )
 
     def _relaxation(self, xy_m: FloatArray) -> Relaxation:
@@ -215,7 +237,7 @@ class SceneLab:
     def _source(self) -> RigSource:
         """The devices as a source; entering it opens the laboratory."""
         devices: dict[str, tuple[str, Device[Any]]] = {
-            "arm": ("jaco", self.lab.arm),
+            "arm": (self._driver, self.lab.arm),
             "tip": ("optoforce", self.lab.force),
         }
         if self.lab.camera is not None:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from deformscope.errors import InputError
 from deformscope.lab.arm_contact import ARM_CYCLE_NS, ARM_STIFFNESS_N_M, ArmContact, World
 from deformscope.rig.rig_file import Tool
 from deformscope.robot.placement import Placement
@@ -108,14 +109,14 @@ class TouchLab:
 
     @property
     def arm_double(self) -> JacoDouble:
-        """The simulated Jaco; raises TypeError where the arm is another."""
+        """The simulated Jaco. Raises InputError where the arm is another."""
         if self._jaco is None:
-            raise TypeError(f"the arm of this laboratory is no Jaco but {self.arm.name}")
+            raise InputError("the Jaco of the laboratory, for a fault of the arm", self.arm.name, "without --arm")
         return self._jaco[0]
 
     @property
     def functions(self) -> "Spoiled":
-        """Functions of the arm's vendor, which can be disturbed; raises TypeError as `arm_double` does."""
+        """Functions of the arm's vendor, which can be disturbed; raises InputError as `arm_double` does."""
         self.arm_double  # noqa: B018
         assert self._jaco is not None
         return self._jaco[1]

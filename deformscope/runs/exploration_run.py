@@ -107,6 +107,7 @@ def explore_on(
         tangential=config.tangential,
         scene=None if scene is None else scene_of(scene, options.seed),
         corrected=config.corrected,
+        arm=config.arm,
     )
     setup, options = opening.setup, opening.options
     _check_first(config, setup)

@@ -61,6 +61,7 @@ def setup_of(
     scene: "Scene | None" = None,
     errors: "LabErrors | None" = None,
     corrected: bool = False,
+    arm: str = "",
 ) -> Opening:
     """The setup of `lab:NAME`, of a rig file, not opened, or of a recording.
 
@@ -69,7 +70,8 @@ def setup_of(
     images;
     removal: how that is taken out of its pictures; tangential: motion of the tip across the normal, None = what the rig
     file has, in the laboratory free where `options` are the thesis's; scene: scene of a name that is not built in;
-    errors: distributions of the laboratory's hidden errors; corrected: by the rig's certificate"""
+    errors: distributions of the laboratory's hidden errors; corrected: by the rig's certificate; arm: driver of the
+    laboratory's arm, empty = its usual one"""
     if name.startswith(LAB):
         from deformscope.experiments.explore.options import TRAVEL_M_S
         from deformscope.experiments.measured import highest_m
@@ -97,6 +99,7 @@ def setup_of(
             robot=None if robot == "plain" else RobotBody(options.seed),
             described=AS_CAPSULES if robot == "plain" else described_robot(removal),
             travel_speed_m_s=TRAVEL_M_S[options.pace],
+            arm=arm,
         )
         laboratory = {
             "clean": clean,
@@ -104,7 +107,7 @@ def setup_of(
             "robot": robot,
             "errors": errors.plain(),
             "drawn": made.drawn.plain(),
-        }
+        } | ({"arm": arm} if arm else {})
         return Opening(made.setup, options, {"scene": scene.name, "laboratory": laboratory}, made.lab)
     from deformscope.recording.target import SUFFIX
     from deformscope.rig.rig_file import load_rig
