@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
-from deformscope_ur import DRIVER, MemoryPorts, Ur, UrConfig, UrDouble, rtde, ur_chain
+from deformscope_ur import DRIVER, Ur, UrConfig, UrDouble, rtde, ur_chain
 from deformscope_ur.config import CHAINS
 from deformscope_ur.device import SILENCE_S, control_script
 from scipy.spatial.transform import Rotation
@@ -26,6 +26,7 @@ from deformscope_drivers.wires import LOOPBACK, PortsWire
 from tests.drivers.arm.contract import ArmBench, ArmContract
 from tests.drivers.arm.test_contract import polled
 from tests.drivers.packages.ur_faults import BEFORE, FAULTS, run_fault
+from tests.drivers.packages.ur_memory import MemoryPorts
 
 RATES = JointVelocity((6.0, 0.0, 0.0, -4.0, 0.0, 0.0))
 
@@ -139,7 +140,7 @@ def calibrated(parallel_m: float) -> dict[str, tuple[float, ...]]:
 @pytest.mark.parametrize("parallel_m", [0.0, 80.0])
 def test_a_calibrated_arm_is_the_product_of_its_own_denavit_hartenberg_steps(parallel_m: float) -> None:
     deltas = calibrated(parallel_m)
-    chain = ur_chain("ur10e", **deltas)
+    chain = ur_chain("ur10e", *deltas.values())
     a = np.array([0.0, -0.6127, -0.57155, 0.0, 0.0, 0.0]) + deltas["delta_a"]
     d = np.array([0.1807, 0.0, 0.0, 0.17415, 0.11985, 0.11655]) + deltas["delta_d"]
     alpha = np.array([HALF, 0.0, 0.0, HALF, -HALF, 0.0]) + deltas["delta_alpha"]
@@ -160,7 +161,7 @@ def test_a_calibrated_arm_is_the_product_of_its_own_denavit_hartenberg_steps(par
 def test_a_calibration_is_refused_unless_it_is_this_arm_and_noticed_where_it_is_missing() -> None:
     deltas = calibrated(0.0)
     bench = Bench()
-    bench.double.chain = ur_chain("ur5e", **deltas)
+    bench.double.chain = ur_chain("ur5e", *deltas.values())
     with bench.arm.open(own_thread=False):
         (remark,) = bench.arm.remarks()
     assert "calibration.conf" in remark

@@ -72,7 +72,6 @@ def test_requests_are_those_of_the_guide() -> None:
 def test_a_text_message_has_its_lengths_before_it() -> None:
     text = decoded("00 0f 4d 05 68 65 6c 6c 6f 04 52 54 44 45 01")
     assert text.text == "RTDE: hello"
-    assert rtde.text_message("hello", "RTDE", 1) == text
     assert Package(Kind.TEXT, b"\x05hel").text == ""
 
 

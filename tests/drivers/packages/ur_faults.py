@@ -8,13 +8,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from deformscope_ur import MemoryPorts, Ur, UrConfig, UrDouble, rtde
+from deformscope_ur import Ur, UrConfig, UrDouble, rtde
 from deformscope_ur.config import CHAINS, RTDE
 from deformscope_ur.device import SILENCE_S
 
 from deformscope_drivers.arm import JointVelocity
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.memory import SimulatedClock
+from tests.drivers.packages.ur_memory import MemoryPorts
 
 ZERO_S = 0.02
 """From a report of the fault until the velocity is zero: two control periods."""

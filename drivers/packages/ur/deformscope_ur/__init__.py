@@ -6,7 +6,7 @@ from typing import Any
 from deformscope_drivers.clock import Clock
 from deformscope_drivers.doubles import Double
 from deformscope_drivers.interface import ArmInLab, DeviceDriver, FloatArray, Scene
-from deformscope_drivers.memory import SimulatedClock
+from deformscope_drivers.memory import MemoryTransport, SimulatedClock
 from deformscope_drivers.wires import PortsWire
 from deformscope_ur.config import CHAINS
 from deformscope_ur.config import UrConfig as UrConfig
@@ -14,7 +14,6 @@ from deformscope_ur.config import ur_chain as ur_chain
 from deformscope_ur.device import Ur as Ur
 from deformscope_ur.device import open_ur
 from deformscope_ur.double import UrDouble as UrDouble
-from deformscope_ur.memory import MemoryPorts as MemoryPorts
 
 
 def _double(config: Any, scene: Scene | None) -> Double:
@@ -24,7 +23,8 @@ def _double(config: Any, scene: Scene | None) -> Double:
 def _in_lab(config: UrConfig, start_deg: FloatArray | None, clock: Clock) -> ArmInLab:
     double = UrDouble(config, start_deg=start_deg)
     if isinstance(clock, SimulatedClock):
-        return ArmInLab(Ur(config, MemoryPorts(double, clock), clock=clock), double)
+        ways = lambda name: MemoryTransport(double.connection(name), clock, name)  # noqa: E731
+        return ArmInLab(Ur(config, ways, clock=clock), double)
     wire = PortsWire(double)
     return ArmInLab(open_ur(dataclasses.replace(config, port=wire.bind())), double, wire)
 

@@ -6,7 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
-from deformscope_drivers.arm.kinematics import Chain, FloatArray, Joint, rotation_from_rpy, transform
+from deformscope_drivers.arm.kinematics import (
+    Chain,
+    FloatArray,
+    Joint,
+    euler_xyz_from_rotation,
+    rotation_from_rpy,
+    transform,
+)
 from deformscope_drivers.transport import check_port
 
 RTDE, DASHBOARD, SCRIPT = "rtde", "dashboard", "script"
@@ -27,25 +34,20 @@ _ARMS = {line.split()[0]: tuple(map(float, line.split()[1:])) for line in _LINES
 """By model, the numbers of `arms.txt`."""
 
 
-def ur_chain(
-    model: str,
-    delta_theta: tuple[float, ...] = ZEROS,
-    delta_a: tuple[float, ...] = ZEROS,
-    delta_d: tuple[float, ...] = ZEROS,
-    delta_alpha: tuple[float, ...] = ZEROS,
-) -> Chain:
-    """The chain of a model; delta_...: (6,) the deviations of one arm [rad, m], from its controller's calibration.
+def ur_chain(model: str, *deltas: tuple[float, ...]) -> Chain:
+    """The chain of a model. deltas: (4, 6) deviations of one arm's theta [rad], a, d [m] and alpha [rad], as calibrated
 
-    A joint's own frame may be anywhere along its axis. Controllers report d of the parallel second and third axes that
-    differ by metres and cancel; here frames three and four are put next to the frame before them."""
+    A joint's own frame may be anywhere along its axis. The parallel second and third axes may have d of metres
+    that cancel; here frames three and four are put next to the frame before them."""
+    d_theta, d_a, d_d, d_alpha = deltas or (ZEROS,) * 4
     a2, a3, d1, d4, d5, d6, arm, elbow, wrist, *masses_kg = _ARMS[model]
     a, d = (0.0, a2, a3, 0.0, 0.0, 0.0), (d1, 0.0, 0.0, d4, d5, d6)
     speeds_deg_s, ranges_deg = (arm, arm, elbow, wrist, wrist, wrist), (360.0, 360.0, ELBOW_DEG, 360.0, 360.0, 360.0)
     steps: list[FloatArray] = [np.eye(4)]
     for joint in range(6):
-        steps[joint] = steps[joint] @ transform(rotation_from_rpy(0.0, 0.0, delta_theta[joint]), np.zeros(3))
-        alpha = rotation_from_rpy(ALPHA_RAD[joint] + delta_alpha[joint], 0.0, 0.0)
-        steps.append(transform(alpha, (a[joint] + delta_a[joint], 0.0, d[joint] + delta_d[joint])))
+        steps[joint] = steps[joint] @ transform(rotation_from_rpy(0.0, 0.0, d_theta[joint]), np.zeros(3))
+        alpha = rotation_from_rpy(ALPHA_RAD[joint] + d_alpha[joint], 0.0, 0.0)
+        steps.append(transform(alpha, (a[joint] + d_a[joint], 0.0, d[joint] + d_d[joint])))
     for joint in (2, 3):
         slide = transform(np.eye(3), (0.0, 0.0, -steps[joint][2, 3] / steps[joint][2, 2]))
         steps[joint], steps[joint + 1] = steps[joint] @ slide, np.linalg.inv(slide) @ steps[joint + 1]
@@ -56,9 +58,8 @@ def ur_chain(
 
 def _xyz_rpy(T: FloatArray) -> tuple[Vector3, Vector3]:
     """Translation [m] and roll, pitch, yaw [rad] of a transform (4, 4)."""
-    x, y, z = (float(value) for value in T[:3, 3])
-    pitch = math.atan2(-T[2, 0], math.hypot(T[0, 0], T[1, 0]))
-    return (x, y, z), (math.atan2(T[2, 1], T[2, 2]), pitch, math.atan2(T[1, 0], T[0, 0]))
+    (x, y, z), (roll, pitch, yaw) = T[:3, 3].tolist(), (-euler_xyz_from_rotation(T[:3, :3].T)).tolist()
+    return (x, y, z), (roll, pitch, yaw)
 
 
 CHAINS = {model: ur_chain(model) for model in _ARMS}
@@ -95,23 +96,22 @@ class UrConfig:
 
     def __post_init__(self) -> None:
         check_port(self.port)
-        if not self.port.startswith("socket://"):
-            raise ValueError(f"expected port = socket://HOST:30004; got {self.port}")
-        if self.model not in CHAINS:
-            raise ValueError(f"expected a model among {', '.join(CHAINS)}; got {self.model!r}")
-        hz = self.state_hz
-        if not hz >= LEAST_HZ or self.cycle_hz % hz:
-            raise ValueError(f"expected state_hz from {LEAST_HZ:g}, a divisor of {self.cycle_hz:g}; got {hz:g}")
-        for name in ("linear_limit_m_s", "angular_limit_rad_s", "joint_limit_deg_s"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
-                raise ValueError(f"expected {name} above 0; got {value!r}")
-        if not 0.02 <= self.command_deadline_s <= 5.0:
-            raise ValueError(f"expected command_deadline_s from 0.02 to 5; got {self.command_deadline_s!r}")
-        for name in ("delta_theta", "delta_a", "delta_d", "delta_alpha"):
-            values = getattr(self, name)
-            if len(values) != 6 or not all(map(math.isfinite, values)):
-                raise ValueError(f"expected {name} of 6 finite numbers; got {values}")
+        hz, cycle_hz = self.state_hz, self.cycle_hz
+        speeds = self.linear_limit_m_s, self.angular_limit_rad_s, self.joint_limit_deg_s
+        for right, expected, came in (
+            (self.port.startswith("socket://"), "port = socket://HOST:30004", self.port),
+            (self.model in CHAINS, f"a model among {', '.join(CHAINS)}", self.model),
+            (hz >= LEAST_HZ and not cycle_hz % hz, f"state_hz from {LEAST_HZ:g}, a divisor of {cycle_hz:g}", hz),
+            (all(math.isfinite(speed) and speed > 0 for speed in speeds), "limits above 0", speeds),
+            (0.02 <= self.command_deadline_s <= 5.0, "command_deadline_s from 0.02 to 5", self.command_deadline_s),
+            (
+                all(len(one) == 6 and all(map(math.isfinite, one)) for one in self.deltas),
+                "6 finite deltas",
+                self.deltas,
+            ),
+        ):
+            if not right:
+                raise ValueError(f"expected {expected}; got {came}")
 
     @property
     def cycle_hz(self) -> float:
@@ -119,6 +119,11 @@ class UrConfig:
         return 500.0 if self.model.endswith("e") else 125.0
 
     @property
+    def deltas(self) -> tuple[tuple[float, ...], ...]:
+        """(4, 6) as `ur_chain` takes them."""
+        return self.delta_theta, self.delta_a, self.delta_d, self.delta_alpha
+
+    @property
     def chain(self) -> Chain:
         """The chain of this very arm."""
-        return ur_chain(self.model, self.delta_theta, self.delta_a, self.delta_d, self.delta_alpha)
+        return ur_chain(self.model, *self.deltas)

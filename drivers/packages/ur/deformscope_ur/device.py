@@ -9,6 +9,7 @@ turn faster than was asked."""
 import itertools
 import math
 import random
+import re
 import urllib.parse
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
@@ -23,7 +24,7 @@ from deformscope_drivers.arm.commands import by_joints
 from deformscope_drivers.arm.device import Arm, ArmState
 from deformscope_drivers.arm.hosted import HostedArm
 from deformscope_drivers.clock import Clock, Stamp, monotonic_ns
-from deformscope_drivers.device import RECONNECT, ROUND_S, Reconnect
+from deformscope_drivers.device import ROUND_S
 from deformscope_drivers.errors import SettingsRefused
 from deformscope_drivers.framing import Skipped
 from deformscope_drivers.health import Identity, Link
@@ -41,7 +42,8 @@ OUTPUTS = tuple(_NAMES.split())
 HELD, SESSION, BEAT = OUTPUTS[-3:]
 INPUTS = ("input_int_register_42", "input_int_register_43", *(f"input_double_register_{42 + one}" for one in range(6)))
 SCRIPT_FILE = Path(__file__).parent / "control.script"
-ACCELERATION_RAD_S2, SILENCE_S, WATCHDOG_HZ = 40.0, 0.1, 1.0
+SILENCE_S = 0.1
+SCRIPT_VALUES = {"acceleration_rad_s2": 40.0, "silence_s": SILENCE_S, "watchdog_hz": 1.0}
 """The script's acceleration to a velocity, as in the vendor's driver for ROS (20 deg/s in 9 ms); time without a
 heartbeat after which it stops the arm; frequency below which the controller ends it."""
 FOLLOWS, SILENT, TOO_FAST = 1, 2, 3
@@ -55,6 +57,7 @@ FULL = 0.999
 """A speed slider at 100 %."""
 RATE_TIMES, RATE_DEG_S, RATE_S = 1.5, 3.0, 0.3
 """Joints turn too fast beyond so many times the greatest rate of the last RATE_S, and RATE_DEG_S more. Chosen."""
+Ways = Callable[[str], Transport]
 
 
 def open_ur(config: UrConfig) -> Arm[Any]:
@@ -64,10 +67,9 @@ def open_ur(config: UrConfig) -> Arm[Any]:
 
 def control_script(config: UrConfig, session: int) -> str:
     """The text that is uploaded, for a configuration and a session."""
-    text = SCRIPT_FILE.read_text("utf-8").replace("{{session}}", str(session))
-    text = text.replace("{{limit_rad_s}}", f"{math.radians(config.joint_limit_deg_s) * 1.001:.6f}")
-    text = text.replace("{{acceleration_rad_s2}}", str(ACCELERATION_RAD_S2))
-    return text.replace("{{watchdog_hz}}", str(WATCHDOG_HZ)).replace("{{silence_s}}", str(SILENCE_S))
+    limit_rad_s = math.radians(config.joint_limit_deg_s) * 1.001
+    values = {"session": session, "limit_rad_s": f"{limit_rad_s:.6f}", **SCRIPT_VALUES}
+    return re.sub(r"{{(\w+)}}", lambda name: str(values[name[1]]), SCRIPT_FILE.read_text("utf-8"))
 
 
 class Ur(Arm[ArmState]):
@@ -75,18 +77,11 @@ class Ur(Arm[ArmState]):
 
     stop_by_hand = "the emergency stop, or the speed slider"
 
-    def __init__(
-        self,
-        config: UrConfig | None = None,
-        ways: Callable[[str], Transport] | None = None,
-        *,
-        reconnect: Reconnect | None = RECONNECT,
-        clock: Clock = monotonic_ns,
-    ) -> None:
-        """ways: makes transports to a double in place of the network (`ports.MemoryPorts`); clock: the host's, or a
+    def __init__(self, config: UrConfig | None = None, ways: Ways | None = None, clock: Clock = monotonic_ns) -> None:
+        """ways: makes transports to a double in place of the network on a simulated clock; clock: the host's, or a
         simulated laboratory's"""
         self.config = config if config is not None else UrConfig()
-        super().__init__(self.config.port, reconnect=reconnect, clock=clock)
+        super().__init__(self.config.port, clock=clock)
         self._ways = ways if ways is not None else self._way
         self._transport: Transport | None = None
         self._chain: kinematics.Chain = self.config.chain
@@ -134,7 +129,7 @@ class Ur(Arm[ArmState]):
     def _refused(self, expected: str, came: str, try_this: str) -> SettingsRefused:
         return SettingsRefused(expected, came, try_this, self.name)
 
-    # The link: run by the device's own thread -------------------------------------------------------------------------
+    # From here on run by the device's own thread
 
     def _connect(self) -> None:
         self._transport = self._ways(RTDE)
@@ -199,7 +194,7 @@ class Ur(Arm[ArmState]):
             raise self._refused("an arm that is ready to move", *words)
         place_m, turn_rad = np.array(self._values["actual_TCP_pose"]).reshape(2, 3)
         theirs = kinematics.transform(Rotation.from_rotvec(turn_rad).as_matrix(), place_m)
-        error = kinematics.pose_error(self._chain.end_effector(self._joints_deg()), theirs)
+        error = kinematics.pose_error(self._chain.end_effector(self._degrees("actual_q")), theirs)
         self._off_mm, off_deg = 1e3 * math.hypot(*error[:3]), math.degrees(math.hypot(*error[3:]))
         if self.config.check_pose and not (self._off_mm <= POSE_MM and off_deg <= POSE_DEG):
             raise self._refused(
@@ -211,11 +206,8 @@ class Ur(Arm[ArmState]):
     def _unready(self) -> tuple[str, str] | None:
         """Why the controller would not move as it is asked to, and what to do; None where it would."""
         bits, mode = self._values["safety_status_bits"], self._values["robot_mode"]
-        if bits & rtde.PROTECTIVE:
-            return "a protective stop", "look for its cause, then unlock it on the pendant"
-        for bit, words in rtde.SAFETY.items():
-            if bits >> bit & 1:
-                return words, "end it, and look at the message on the pendant"
+        if stops := [words for bit, words in rtde.SAFETY.items() if bits >> bit & 1]:
+            return stops[0], "look for its cause, then unlock it on the pendant"
         if mode != rtde.RUNNING:
             return f"mode {rtde.ROBOT_MODES.get(mode, mode)}", "switch it on and release its brakes on the pendant"
         if (slider := self._values["target_speed_fraction"]) < FULL:
@@ -230,8 +222,7 @@ class Ur(Arm[ArmState]):
         return "" if runs else f"its program is {self._runtime()}"
 
     def _runtime(self) -> str:
-        state = self._values["runtime_state"]
-        return Runtime(state).name.lower() if 0 <= state < len(Runtime) else f"in state {state}"
+        return rtde.RUNTIMES.get(self._values["runtime_state"], "in another state")
 
     def _script_follows(self) -> bool:
         return self._values[HELD] == FOLLOWS and not self._trouble()
@@ -325,8 +316,6 @@ class Ur(Arm[ArmState]):
                 break
         return held
 
-    # Motion ----------------------------------------------------------------------------------------------------------
-
     def _rest(self) -> None:
         """Send zeros until the script has read them, or the arm rests without it. Raises NotStopped, LinkLost."""
 
@@ -349,7 +338,7 @@ class Ur(Arm[ArmState]):
         """Stop for what the last report says."""
         if not self._follows:
             return
-        fastest_deg_s = max(map(abs, self._rates_deg_s()))
+        fastest_deg_s = max(map(abs, self._degrees("actual_qd")))
         while self._sent_deg_s and now_ns - self._sent_deg_s[0][0] > RATE_S * 1e9:
             self._sent_deg_s.popleft()
         asked_deg_s = max((rate for _, rate in self._sent_deg_s), default=0.0)
@@ -381,7 +370,7 @@ class Ur(Arm[ArmState]):
                 self._expired += 1
         if streamed is None or self._resting or self._values[HELD] != FOLLOWS:
             return (0.0,) * self._chain.joint_count
-        joints_deg = self._joints_deg()
+        joints_deg = self._degrees("actual_q")
         rates = by_joints(streamed.velocity, self._chain, self.config, joints_deg)
         if not isinstance(rates, str):
             ahead_deg = np.asarray(joints_deg) + np.asarray(rates.rates_deg_s) * 2.0 / self.config.state_hz
@@ -397,28 +386,23 @@ class Ur(Arm[ArmState]):
         self._transport.write(data)
         self._record_raw(data, self._clock(), sent=True)
 
-    # Reports ---------------------------------------------------------------------------------------------------------
-
     def _state(self, host_ns: int) -> ArmState:
-        joints_deg, values = self._joints_deg(), self._values
+        joints_deg, values = self._degrees("actual_q"), self._values
         pose = self._chain.end_effector(joints_deg)
         x, y, z = pose[:3, 3].tolist()
         theta_x, theta_y, theta_z = kinematics.euler_xyz_from_rotation(pose[:3, :3]).tolist()
         return ArmState(
             stamp=Stamp(host_ns, round(1e6 * values["timestamp"])),
             joints_deg=joints_deg,
-            rates_deg_s=self._rates_deg_s(),
+            rates_deg_s=self._degrees("actual_qd"),
             position_m=(x, y, z),
             theta_rad=(theta_x, theta_y, theta_z),
             wrench=values["actual_TCP_force"],
             currents=values["actual_current"],
         )
 
-    def _joints_deg(self) -> tuple[float, ...]:
-        return tuple(map(math.degrees, self._values["actual_q"]))
-
-    def _rates_deg_s(self) -> tuple[float, ...]:
-        return tuple(map(math.degrees, self._values["actual_qd"]))
+    def _degrees(self, name: str) -> tuple[float, ...]:
+        return tuple(map(math.degrees, self._values[name]))
 
     def _extra_health(self) -> dict[str, float]:
         return {"commands_expired": self._expired, "heartbeats_missed": self._silences}

@@ -53,7 +53,7 @@ INPUTS, OUTPUTS = _variables("input"), _variables("output")
 class UrDouble:
     """Attributes that a simulation reads and sets. slider: speed slider of the pendant, 0 to 1; remote: remote control;
     robot_mode, safety_bits: as RTDE reports; lag_s: lag of the registers; gain: factor on the program's rates;
-    silent: it reports nothing more; programs: scripts that came; popups: errors of programs"""
+    silent: it reports nothing more; programs: scripts that came; popups: errors of programs; clients: those of RTDE"""
 
     ports: Mapping[str, int] = PORTS
 
@@ -71,17 +71,34 @@ class UrDouble:
         self._period_ns = round(1e9 / self.config.cycle_hz)
         self._next_ns: int | None = None
         self._began_ns = self._stopped_ns = 0
-        self._clients: list[RtdeConnection] = []
-        self._random = np.random.default_rng(0x05)
-        self.inputs: dict[str, Value] = {}
+        self.clients: list[RtdeConnection] = []
+        self._random = random = np.random.default_rng(0x05)
+        self.inputs: dict[str, Any] = {}
         self._input_ns: dict[str, int] = {}
         self._steps: Generator[Step, None, None] | None = None
         self._starts_ns: int | None = None
         self._step: Step = ("",)
         self.runtime = Runtime.STOPPED
         self.end_program()
-
-    # For who runs the simulation -------------------------------------------------------------------------------------
+        self._outputs: dict[str, Callable[[], Any]] = {
+            "timestamp": lambda: (self.next_ns(0) - self._began_ns) / 1e9,
+            **dict.fromkeys(("actual_q", "target_q"), lambda: self._q),
+            **dict.fromkeys(("speed_scaling", "target_speed_fraction"), lambda: self.slider),
+            **dict.fromkeys(("actual_TCP_pose", "target_TCP_pose"), self._pose),
+            "actual_qd": lambda: self._qd,
+            "target_qd": lambda: self._target,
+            "actual_current": lambda: motor_currents(
+                self.chain, self.joints_deg, self.rates_deg_s, self._wrench, random
+            ),
+            "actual_TCP_force": self._force,
+            "robot_mode": lambda: self.robot_mode,
+            "runtime_state": lambda: int(self.runtime),
+            "safety_mode": lambda: (
+                1 if self.safety_bits == rtde.NORMAL else 3 if self.safety_bits & rtde.PROTECTIVE else 7
+            ),
+            "safety_status_bits": lambda: self.safety_bits,
+            "robot_status_bits": lambda: 1 | (self.runtime is Runtime.PLAYING) << 1,
+        }
 
     @property
     def joints_deg(self) -> FloatArray:
@@ -115,7 +132,7 @@ class UrDouble:
 
     def protective_stop(self) -> None:
         """Stop it as after a collision."""
-        self.safety_bits, self._stopped_ns = rtde.PROTECTIVE | 1 << 10, self._next_ns or 0
+        self.safety_bits, self._stopped_ns = rtde.PROTECTIVE | 1 << 10, self.next_ns(0)
         self.pause()
 
     def emergency_stop(self) -> None:
@@ -137,29 +154,22 @@ class UrDouble:
         self.runtime = Runtime.STOPPED
         return True
 
-    def power_on(self) -> bool:
-        """Switch the arm on; its brakes stay closed."""
-        self.robot_mode = max(self.robot_mode, rtde.IDLE)
-        return True
-
-    def release_brakes(self) -> bool:
-        """Open the brakes of an arm that is switched on."""
-        if idle := self.robot_mode >= rtde.IDLE:
-            self.robot_mode = rtde.RUNNING
-        return idle
+    def switch(self, mode: int) -> bool:
+        """Switch the arm on (mode IDLE), then open its brakes (RUNNING)."""
+        if done := mode == rtde.IDLE or self.robot_mode >= rtde.IDLE:
+            self.robot_mode = max(self.robot_mode, mode)
+        return done
 
     def connection(self, name: str) -> "Connection":
         """What speaks with a new client of a port."""
         if name == RTDE:
-            self._clients.append(RtdeConnection(self))
-            return self._clients[-1]
+            self.clients.append(RtdeConnection(self))
+            return self.clients[-1]
         return DashboardConnection(self) if name == DASHBOARD else ScriptConnection(self)
 
     def drop(self, connection: Double) -> None:
         """A connection has ended: what its client had set stays."""
-        self._clients = [client for client in self._clients if client is not connection]
-
-    # Its cycles ------------------------------------------------------------------------------------------------------
+        self.clients = [client for client in self.clients if client is not connection]
 
     def power_up(self, now_ns: int) -> None:
         """A cable that is put in changes nothing."""
@@ -189,10 +199,10 @@ class UrDouble:
             self._next_ns += self._period_ns
 
     def _cycle(self, now_ns: int) -> None:
-        for client in self._clients:
+        for client in self.clients:
             client.take_inputs(now_ns)
         if self.inputs.get("speed_slider_mask"):
-            self.slider = float(np.clip(self._number("speed_slider_fraction"), 0.0, 1.0))
+            self.slider = float(np.clip(self.inputs["speed_slider_fraction"], 0.0, 1.0))
         if self.stands:
             self.pause()
         if self._starts_ns is not None and now_ns >= self._starts_ns:
@@ -206,17 +216,16 @@ class UrDouble:
         self._q = self._q + self._qd * self._period_ns / 1e9
         if np.any(np.abs(self.joints_deg) > self.chain.upper_deg):
             self.protective_stop()
-        for client in self._clients:
+        for client in self.clients:
             client.report()
 
     def _program_step(self, now_ns: int) -> tuple[FloatArray, float]:
         """(6,) rates [rad/s] and acceleration [rad/s^2] in this cycle."""
         rest = np.zeros(6)
-        if late := [
-            name for name, (ns, seen) in self._watched.items() if now_ns - max(self._input_ns.get(name, 0), seen) > ns
-        ]:
-            self._popup(f"RTDE watchdog: {late[0]}")
-            return rest, STOP_RAD_S2
+        for name, (period_ns, seen_ns) in self._watched.items():
+            if now_ns - max(self._input_ns.get(name, 0), seen_ns) > period_ns:
+                self._popup(f"RTDE watchdog: {name}")
+                return rest, STOP_RAD_S2
         if self._step[0] == "stopj" and np.any(self._qd):
             return rest, self._step[1]
         try:
@@ -243,8 +252,8 @@ class UrDouble:
         self.end_program()
         functions: dict[str, Callable[..., Any]] = {
             "get_steptime": lambda: self._period_ns / 1e9,
-            "read_input_integer_register": lambda number: int(self._number(f"input_int_register_{number}")),
-            "read_input_float_register": lambda number: float(self._number(f"input_double_register_{number}")),
+            "read_input_integer_register": lambda number: self.inputs.get(f"input_int_register_{number}", 0),
+            "read_input_float_register": lambda number: self.inputs.get(f"input_double_register_{number}", 0.0),
             "write_output_integer_register": self.registers.__setitem__,
             "rtde_set_watchdog": lambda name, hz, action: self._watched.update({name: (round(1e9 / hz), now_ns)}),
             "textmsg": lambda *words: None,
@@ -263,21 +272,13 @@ class UrDouble:
 
     def unlock(self) -> bool:
         """Unlock a protective stop, if it is not too early; its program has ended."""
-        late = bool(self.safety_bits & rtde.PROTECTIVE) and (self._next_ns or 0) - self._stopped_ns >= UNLOCK_S * 1e9
-        if late:
-            self.safety_bits = rtde.NORMAL
-            self.end_program()
+        if late := self.safety_bits & rtde.PROTECTIVE > 0 and self.next_ns(0) - self._stopped_ns >= UNLOCK_S * 1e9:
+            self.safety_bits, _ = rtde.NORMAL, self.end_program()
         return late
 
     def _popup(self, words: str) -> None:
         self.popups.append(words)
         self.end_program()
-
-    # What RTDE takes and gives ---------------------------------------------------------------------------------------
-
-    def claimed_by_others(self, client: "RtdeConnection") -> set[str]:
-        """The inputs that other clients set."""
-        return {name for one in self._clients if one is not client for name in one.claimed}
 
     def take(self, values: dict[str, Value], now_ns: int) -> None:
         """Set inputs."""
@@ -286,42 +287,18 @@ class UrDouble:
 
     def output(self, name: str) -> Value:
         """The present value of an output."""
+        if name in self._outputs:
+            value = self._outputs[name]()
+            return tuple(value.tolist()) if isinstance(value, np.ndarray) else value
         kind, _, number = name.rpartition("_register_")
-        match name:
-            case "timestamp":
-                return ((self._next_ns or 0) - self._began_ns) / 1e9
-            case "actual_q" | "target_q":
-                return tuple(self._q.tolist())
-            case "actual_qd":
-                return tuple(self._qd.tolist())
-            case "target_qd":
-                return tuple(self._target.tolist())
-            case "actual_current":
-                at = self.joints_deg, self.rates_deg_s
-                return tuple(motor_currents(self.chain, *at, self._wrench, self._random).tolist())
-            case "actual_TCP_pose" | "target_TCP_pose":
-                pose = self.T_base_end_effector
-                return (*pose[:3, 3].tolist(), *rotation_vector(pose[:3, :3]).tolist())
-            case "actual_TCP_force":
-                return tuple(self._force().tolist())
-            case "robot_mode":
-                return self.robot_mode
-            case "safety_mode":
-                return 1 if self.safety_bits == rtde.NORMAL else 3 if self.safety_bits & rtde.PROTECTIVE else 7
-            case "safety_status_bits":
-                return self.safety_bits
-            case "robot_status_bits":
-                return 1 | (self.runtime is Runtime.PLAYING) << 1
-            case "runtime_state":
-                return int(self.runtime)
-            case "speed_scaling" | "target_speed_fraction":
-                return self.slider
         if kind == "output_int":
             return self.registers[int(number)]
         return (0,) * int(rtde.FORMATS[OUTPUTS[name]][:-1]) if OUTPUTS[name].startswith("VECTOR") else 0
 
-    def _number(self, name: str) -> Any:
-        return self.inputs.get(name, 0)
+    def _pose(self) -> FloatArray:
+        """(6,) place [m] and rotation vector [rad] of the flange."""
+        pose = self.T_base_end_effector
+        return np.concatenate([pose[:3, 3], rotation_vector(pose[:3, :3])])
 
     def _force(self) -> FloatArray:
         """(6,) the estimated force and torque on the flange, in the base frame [N, Nm]."""
@@ -337,16 +314,13 @@ class Connection:
 
     def __init__(self, controller: UrDouble) -> None:
         self.controller = controller
-        self._sent = bytearray()
-        self.power_up(0)
+        self._sent, self._text = bytearray(), b""
 
     def power_up(self, now_ns: int) -> None:
-        """Begin again."""
-        self._sent.clear()
+        """A client is there from the beginning."""
 
     def receive(self, data: bytes, now_ns: int) -> None:
         self.controller.live(now_ns)
-        self.handle(data, now_ns)
 
     def due(self, now_ns: int) -> bytes:
         self.controller.live(now_ns)
@@ -357,10 +331,6 @@ class Connection:
     def next_ns(self, now_ns: int) -> int | None:
         return self.controller.next_ns(now_ns)
 
-    def handle(self, data: bytes, now_ns: int) -> None:
-        """Take bytes of the client."""
-        raise NotImplementedError
-
     def send(self, data: bytes) -> None:
         """Send bytes to the client."""
         if len(self._sent) < SENT_BYTES:
@@ -370,15 +340,16 @@ class Connection:
 class RtdeConnection(Connection):
     """A client of RTDE; claimed: the inputs that it sets"""
 
-    def power_up(self, now_ns: int) -> None:
-        super().power_up(now_ns)
+    def __init__(self, controller: UrDouble) -> None:
+        super().__init__(controller)
         self._decoder, self._every, self._count, self._started = Decoder(), 1, 0, False
         self._outputs: Recipe | None = None
         self._recipes: dict[int, Recipe] = {}
         self._pending: deque[tuple[int, dict[str, Value]]] = deque()
         self.claimed: set[str] = set()
 
-    def handle(self, data: bytes, now_ns: int) -> None:
+    def receive(self, data: bytes, now_ns: int) -> None:
+        super().receive(data, now_ns)
         for package in self._decoder.feed(data):
             if isinstance(package, Package) and (reply := self._answer(package, now_ns)) is not None:
                 self.send(reply.encode())
@@ -398,11 +369,10 @@ class RtdeConnection(Connection):
                 self._every = round(cycle_hz / hz) if good else 1
                 recipe = Recipe(int(good), names, types)
                 self._outputs = recipe if good else None
-                for name in recipe.refused:
-                    self.send(rtde.text_message(f"{name} is not an output", "RTDE", 1).encode())
                 return recipe.reply(Kind.OUTPUTS)
             case Kind.INPUTS:
-                names, others = _names(payload), self.controller.claimed_by_others(self)
+                names, clients = _names(payload), self.controller.clients
+                others = {name for client in clients if client is not self for name in client.claimed}
                 types = tuple(rtde.IN_USE if name in others else INPUTS.get(name, rtde.NOT_FOUND) for name in names)
                 recipe = Recipe(len(self._recipes) + 1, names, types)
                 if recipe.refused:
@@ -439,11 +409,8 @@ def _names(payload: bytes) -> tuple[str, ...]:
 class ScriptConnection(Connection):
     """A client of port 30002 that sends a script; a program begins with `def` and ends with `end`, unindented."""
 
-    def power_up(self, now_ns: int) -> None:
-        super().power_up(now_ns)
-        self._text = b""
-
-    def handle(self, data: bytes, now_ns: int) -> None:
+    def receive(self, data: bytes, now_ns: int) -> None:
+        super().receive(data, now_ns)
         self._text += data
         while (at := self._text.find(b"\nend\n")) >= 0:
             program, self._text = self._text[: at + 5], self._text[at + 5 :]
@@ -454,13 +421,13 @@ class ScriptConnection(Connection):
 class DashboardConnection(Connection):
     """A client of the dashboard."""
 
-    def power_up(self, now_ns: int) -> None:
-        super().power_up(now_ns)
-        self._line = b""
+    def __init__(self, controller: UrDouble) -> None:
+        super().__init__(controller)
         self.send(GREETING.encode() + b"\n")
 
-    def handle(self, data: bytes, now_ns: int) -> None:
-        *lines, self._line = (self._line[-1024:] + data).split(b"\n")
+    def receive(self, data: bytes, now_ns: int) -> None:
+        super().receive(data, now_ns)
+        *lines, self._text = (self._text[-1024:] + data).split(b"\n")
         for line in lines:
             self.send(self._answer(line.decode("utf-8", "replace").strip()).encode() + b"\n")
 
@@ -479,8 +446,8 @@ class DashboardConnection(Connection):
         if arm.e_series:
             said |= {"is in remote control": str(arm.remote).lower(), "get serial number": "20215500000"}
         done: dict[str, tuple[Callable[[], bool], str]] = {
-            "power on": (arm.power_on, "Powering on"),
-            "brake release": (arm.release_brakes, "Brake releasing"),
+            "power on": (lambda: arm.switch(rtde.IDLE), "Powering on"),
+            "brake release": (lambda: arm.switch(rtde.RUNNING), "Brake releasing"),
             "unlock protective stop": (arm.unlock, "Protective stop releasing"),
             "play": (arm.play, "Starting program"),
             "pause": (arm.pause, "Pausing program"),

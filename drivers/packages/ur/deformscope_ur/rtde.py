@@ -22,36 +22,20 @@ FORMATS = dict(zip(_NAMES.split(), ["?", "B", "I", "Q", "i", "d", "3d", "6d", "6
 Value = bool | int | float | tuple[int | float, ...]
 
 
-class Kind(IntEnum):
-    """Kinds of packages; requests and their replies share one."""
-
-    TEXT = ord("M")
-    VERSION = ord("V")
-    CONTROLLER = ord("v")
-    OUTPUTS = ord("O")
-    INPUTS = ord("I")
-    START = ord("S")
-    PAUSE = ord("P")
-    DATA = ord("U")
-
-
+Kind = IntEnum(
+    "Kind",
+    {"TEXT": 77, "VERSION": 86, "CONTROLLER": 118, "OUTPUTS": 79, "INPUTS": 73, "START": 83, "PAUSE": 80, "DATA": 85},
+)
+"""Kinds of packages, letters of ASCII; requests and their replies share one."""
 KINDS = {int(kind): kind for kind in Kind}
 
 LENGTHS = {Kind.VERSION: (1, 2), Kind.CONTROLLER: (0, 16), Kind.START: (0, 1), Kind.PAUSE: (0, 1)}
 """Possible lengths of a payload, of requests and replies, where they are fixed."""
 
 
-class Runtime(IntEnum):
-    """`runtime_state`: what the controller's program does."""
-
-    STOPPING = 0
-    STOPPED = 1
-    PLAYING = 2
-    PAUSING = 3
-    PAUSED = 4
-    RESUMING = 5
-
-
+Runtime = IntEnum("Runtime", "STOPPING STOPPED PLAYING PAUSING PAUSED RESUMING", start=0)
+RUNTIMES = {int(state): state.name.lower() for state in Runtime}
+"""`runtime_state`: what the controller's program does."""
 IDLE, RUNNING = 5, 7
 _MODES = "NO_CONTROLLER DISCONNECTED CONFIRM_SAFETY BOOTING POWER_OFF POWER_ON IDLE BACKDRIVE RUNNING"
 ROBOT_MODES = dict(enumerate(_MODES.split(), start=-1))
@@ -96,12 +80,6 @@ class Package:
         if not rest or len(rest) != 2 + rest[0]:
             return ""
         return f"{rest[1:-1].decode('utf-8', 'replace')}: {message.decode('utf-8', 'replace')}"
-
-
-def text_message(message: str, source: str, level: int) -> Package:
-    """A TEXT. level: 0 exception, 1 error, 2 warning, 3 information"""
-    words, by = message.encode()[:255], source.encode()[:255]
-    return Package(Kind.TEXT, bytes([len(words)]) + words + bytes([len(by)]) + by + bytes([level]))
 
 
 def output_request(frequency_hz: float, names: Sequence[str]) -> Package:

@@ -1,9 +1,10 @@
-"""The simulated controller within this process, on a simulated clock."""
+"""The double of a UR within this process, on a simulated clock, with a cable that can be pulled."""
+
+from deformscope_ur import UrDouble
 
 from deformscope_drivers.doubles import Double
 from deformscope_drivers.memory import MemoryTransport, SimulatedClock
 from deformscope_drivers.transport import Transport
-from deformscope_ur.double import UrDouble
 
 
 class MemoryPorts:
