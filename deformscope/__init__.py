@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from deformscope.library import calibrate_viscous as calibrate_viscous
     from deformscope.library import calibrate_yield as calibrate_yield
     from deformscope.library import catalog as catalog
+    from deformscope.library import certify as certify
     from deformscope.library import classify as classify
     from deformscope.library import compare_recordings as compare_recordings
     from deformscope.library import discard as discard
@@ -71,8 +72,8 @@ _NAMES = {
     "errors": "InputError",
     "runs.exploration_run": "OwnScene TouchPlanner",
     "library": "calibrate_axes calibrate_beta calibrate_both calibrate_field calibrate_theta "
-    "calibrate_viscous calibrate_yield catalog classify compare_recordings discard explore "
-    "export import_recording indent load_classifier open_dataset open_recording predict record "
+    "calibrate_viscous calibrate_yield catalog certify classify compare_recordings discard "
+    "explore export import_recording indent load_classifier open_dataset open_recording predict record "
     "recover replay report squeeze sweep verify",
     "runs.calibration_result": "CalibrationResult",
     "runs.exploration_result": "ExplorationResult",

@@ -235,6 +235,25 @@ def indent(
         return fitted(_options(IndentConfig, options, sources=names, tip=tip), arrays)
 
 
+def certify(
+    rig: str | Path, *, sample: str | Path, progress: Say | bool | None = None, **options: object
+) -> "FoundResult":
+    """Find a rig's bias on a sample of known modulus, by cause.
+
+    rig: a rig file (.toml), or `lab:block-162`; sample: a silicone by name, or the JSON of `deformscope indent`
+    progress: as in `explore`; options: the flags of `deformscope certify` by their names
+    (`deformscope.config.CertifyConfig`): touches, thickness_m, sliding, save, seed, record, yes... Raises InputError
+    for unusable input, TypeError for options that it has not, and SystemExit if it was stopped before its end."""
+    from deformscope.config import CertifyConfig
+    from deformscope.runs.arm_calibration import touch_known
+    from deformscope.runs.result import FoundResult
+
+    with _python_names(), _messages(rig, progress):
+        config = _options(CertifyConfig, options, rig=str(rig), sample=str(sample))
+        found = touch_known(config)
+    return FoundResult({"kind": found.kind, **found.found}, found.findings(config.rig).tables)
+
+
 def explore(
     rig: "str | Path | OwnScene",
     *,

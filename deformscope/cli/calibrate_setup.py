@@ -3,15 +3,14 @@ and write them into its file with intervals."""
 
 import cv2
 
-from deformscope.cli.common import quiet_warp, recorder_of, say, settings_of, show, write_file, write_json
+from deformscope.cli.common import quiet_warp, recorder_of, say, show, write_file, write_json
 from deformscope.config import ArmConfig, CameraConfig, CertifyConfig, SetupOptions
 from deformscope.log.layout import RIG
 from deformscope.rig.rig_edit import lines_of
 from deformscope.rig.rig_file import load_rig
-from deformscope.runs.arm_calibration import calibrate_arm, certify, opening_of
+from deformscope.runs.arm_calibration import touch_known
 from deformscope.runs.calibration_tasks import TASKS
 from deformscope.runs.commissioning import commissioning_steps, next_step
-from deformscope.runs.result import open_recorder
 from deformscope.runs.rig_calibration import set_up, written_lines
 from deformscope.stages.setup.board import CharucoSpec, board_image
 
@@ -42,15 +41,8 @@ def run(config: SetupOptions) -> None:
 def arm(config: ArmConfig | CertifyConfig) -> None:
     """Touch a rigid block, or a sample of known modulus; print the result, and write it into the rig file."""
     quiet_warp()
-    opening = opening_of(config)
-    settings = {**settings_of(config), "rig": "", **opening.settings}  # its file as text, for replay
-    recorder = open_recorder(config.output, settings, RIG, real_time=opening.setup.runs_itself)
-    if isinstance(config, ArmConfig):
-        found, lines = calibrate_arm(config, opening, recorder), ""
-    else:
-        found = certify(config, opening, recorder)
-        lines = "" if config.save else lines_of(found.values)
+    found = touch_known(config)
     show(found.findings(config.rig))
-    if lines:
-        print(lines, flush=True)
+    if isinstance(config, CertifyConfig) and not config.save:
+        print(lines_of(found.values), flush=True)
     write_json({"kind": found.kind, **found.found}, config.output.json)

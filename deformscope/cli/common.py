@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO, cast
+from typing import TYPE_CHECKING, TextIO
 
 from deformscope.errors import InputError, printable
 from deformscope.file_io import make_folder as make_folder
@@ -20,6 +20,7 @@ from deformscope.file_io import replacing as replacing
 from deformscope.pictures.report import Table, table_text
 from deformscope.plain import plain
 from deformscope.runs.result import open_recorder
+from deformscope.runs.result import settings_of as settings_of
 from deformscope.stages.msm import quiet
 from deformscope.terminal import fit_progress as fit_progress
 from deformscope.terminal import is_watched
@@ -98,12 +99,6 @@ def recorder_of(
     of = application or FINDINGS.variant(str(settings["command"]))
     with open_recorder(config.output, settings, of, real_time=real_time) as recorder:
         yield recorder
-
-
-def settings_of(config: "RecordedOptions") -> dict[str, object]:
-    """All flags of a command, as its recording keeps them."""
-    command = type(config).__name__.removesuffix("Config").lower()
-    return {"command": command, **cast("dict[str, object]", plain(config))}
 
 
 def at_terminal() -> bool:

@@ -345,8 +345,9 @@ BUILT_IN = {
 BURIED = {
     "buried": "a foam of 60 N, 20 by 20 cm and 7 cm thick, with a ball of 600 N in it, 4 cm across, 1 to 2 cm deep",
     "empty": "the same foam with nothing in it",
+    "block-162": "a block of 100 kPa, known within 2 %, for `deformscope certify`",
 }
-"""Scenes with inclusions that the surface does not show."""
+"""Scenes that no table explores: with inclusions that the surface does not show, and to certify rigs on."""
 
 PIECES = {
     "disc": ("30", "200"),

@@ -16,7 +16,7 @@ from deformscope.log.rig.blueprint import blueprint_of
 from deformscope.pictures.palette import Rgb, colors, round_up
 from deformscope.pictures.report import ColoredBody, Figure, Findings, table_markdown
 from deformscope.plain import plain
-from deformscope.rows import to_components
+from deformscope.rows import to_columns
 from deformscope.stages.see.triangulation import spacing_of
 
 
@@ -69,7 +69,8 @@ def log_evidence(rec: rr.RecordingStream, found: Findings, canvas: Canvas) -> No
 def log_numbers(rec: rr.RecordingStream, estimate: object, canvas: Canvas) -> None:
     """Every field of a material's result, for `replay` to compare."""
     kind = type(estimate).__name__
-    numbers = rr.DynamicArchetype(kind, components=to_components(estimate))
+    values = {name: column.values for name, column in to_columns([estimate]).items()}  # typed where they are empty
+    numbers = rr.DynamicArchetype(kind, components=values)
     rec.log("calibration/estimate", numbers, static=bool(canvas.image))
 
 

@@ -30,6 +30,7 @@ from deformscope.stages.materials.field_estimate import FieldEstimate
 from deformscope.stages.materials.recovery import RecoveryEstimate
 from deformscope.stages.materials.yield_estimate import YieldEstimate
 from deformscope.stages.msm.state_sweep import StateSweep, StateSweeps
+from deformscope.stages.poke.certificate import RigBias
 from deformscope.stages.poke.indentation import IndentEstimate
 from deformscope.stages.see.flow import FlowField
 from deformscope.stages.see.particles import ParticleGrid, Tracked
@@ -150,7 +151,7 @@ def picture_views(canvas: Canvas) -> Views[rr.RecordingStream]:
         RigFindings: (FINDINGS, lambda rec, one: log_findings(rec, one.found, rig_blueprint(one.streams))),
         StateSweeps: (ShownStage("states", 3, "static, over beta and theta (fig. 3.7)", entity="plot"), log_states),
         IndentEstimate: (CURVES, partial(log_numbers, canvas=canvas)),
-        **dict.fromkeys((AxisEstimate, FieldEstimate, YieldEstimate, RecoveryEstimate), numbers),
+        **dict.fromkeys((AxisEstimate, FieldEstimate, YieldEstimate, RecoveryEstimate, RigBias), numbers),
     }
 
 

@@ -7,7 +7,6 @@ unfinished recording is never overwritten."""
 
 import dataclasses
 import json
-import os
 import sys
 import uuid
 from collections import Counter
@@ -244,7 +243,6 @@ class Recorder:
     # Its beginning and its end ---------------------------------------------------------------------------------------
 
     def _open(self) -> None:
-        os.environ.setdefault("RUST_LOG", "off")  # what rerun would print, this recorder notices and says itself
         if self._application.devices:
             from deformscope.log.rig import warm_up
 

@@ -34,10 +34,11 @@ class DeviceComparison:
 def compare_with_bytes(rig: Rig | None, streams: Sequence[Stream], items: Iterable[Item]) -> list[DeviceComparison]:
     """Decode every device's recorded bytes again and compare with its recorded frames, to the last bit.
 
-    rig: the rig, None if no driver of deformscope gave the frames; items: items of the recording, in order of time.
-    Raises InputError where the rig lacks a device that was recorded"""
+    rig: the rig, None for the laboratory and for frames of others, which have no bytes; items: items of the recording,
+    in order of time. Raises InputError where the rig lacks a device that was recorded"""
     configs = {} if rig is None else {entry.name: entry.config for entry in rig.devices}
-    if missing := [one.device for one in streams if one.driver in DRIVERS and one.device not in configs]:
+    missing = [one.device for one in streams if one.driver in DRIVERS and one.device not in configs]
+    if missing and rig is not None:
         raise InputError(f"a rig with {missing[0]}, which was recorded", "one without")
     checks = {stream.device: _Check(stream, configs.get(stream.device)) for stream in streams}
     for item in items:

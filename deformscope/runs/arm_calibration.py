@@ -29,21 +29,29 @@ from deformscope.experiments.rig.arm_compliance import (
     touched_rigid,
 )
 from deformscope.file_io import nearest, read_file
+from deformscope.frames import InputFile
 from deformscope.lab.session_errors import LabErrors
 from deformscope.log.findings import RigFindings
+from deformscope.log.layout import RIG
 from deformscope.pictures.messages import counted
 from deformscope.pictures.report import Figure
 from deformscope.pictures.setup import compliance_png
 from deformscope.plain import plain
-from deformscope.runs.indentation import curves_png, shown_rows
+from deformscope.recording.items import read_found
+from deformscope.recording.reader import Replay
+from deformscope.rows import from_json, to_json
+from deformscope.runs.indentation import curve_files, curves_png, kept_curves, shown_rows
 from deformscope.runs.opened_devices import LAB, Opening, setup_of
+from deformscope.runs.replay_result import compare
+from deformscope.runs.result import open_recorder, settings_of
 from deformscope.runs.rig_calibration import RigCalibrationResult, today, write_values
 from deformscope.runs.skeleton import leave_arm, open_rig_run, permitted
 from deformscope.session import RigExperiment, Step
 from deformscope.session import run as run_session
 from deformscope.stages.map.exploration import ExplorationStop
 from deformscope.stages.map.measured import TouchMeasurement
-from deformscope.stages.poke.certificate import TOLERANCE, KnownSample, certify_rig
+from deformscope.stages.msm.quiet import quiet_warp
+from deformscope.stages.poke.certificate import TOLERANCE, KnownSample, RigBias, certify_rig
 from deformscope.stages.poke.contact import Z_90, ArmCompliance
 from deformscope.stages.poke.indentation import IndentCurve, IndentSample
 from deformscope.stages.poke.tip_law import Ground, Indenter
@@ -67,6 +75,17 @@ def opening_of(config: ArmConfig | CertifyConfig) -> Opening:
         force_n, hold_s, errors = config.set_force, 0.0, None
     options = ExploreOptions(budget=config.touches, beta_model="none", seed=config.output.seed, hold_s=hold_s)
     return setup_of(config.rig, options, force_n, trusted=config.trust_rig, errors=errors)
+
+
+def touch_known(config: ArmConfig | CertifyConfig) -> RigCalibrationResult:
+    """`calibrate arm` or `certify`: check, touch, and write what was found. Raises InputError."""
+    quiet_warp()
+    opening = opening_of(config)
+    settings = {**settings_of(config), "rig": "", **opening.settings}  # its file as text, for replay
+    recorder = open_recorder(config.output, settings, RIG, real_time=opening.setup.runs_itself)
+    if isinstance(config, ArmConfig):
+        return calibrate_arm(config, opening, recorder)
+    return certify(config, opening, recorder)
 
 
 def calibrate_arm(
@@ -133,6 +152,8 @@ def _touched_result(
                 recorder.stopped_because(f"{stop.kind}: {stop.reason}")
         found = None if stop is not None else result()
         if found is not None:
+            for one in found.kept:
+                recorder.write(one)
             recorder.write(Step((RigFindings(found.findings(config.rig), tuple(opened.source.streams)),)))
     if found is None:
         touches = 0 if stop is None else stop.touch
@@ -246,16 +267,30 @@ def certify(
             "causes": {name: one[:2] for name, one in found.causes.items()},
         }
         rows = [*shown_rows(found, ()), *((name, str(values[name])) for name in ("sample", "tip", "conditions"))]
+        if not (config.rig.startswith(LAB) or config.sample.lower().endswith(".json")):
+            rows.append(("note", "a recipe's modulus is of one laboratory: measure your own sample by `indent`"))
         figure = Figure(curves_png(found.curves), "Force over depth of each touch, with the law")
         # a simulated arm's compliance is in no file, and the certificate is relative to it
         give = {"compliance_m_per_n": setup.compliance_m_per_n, "compliance_sd": setup.compliance_sd}
         stated = tool.compliance_m_per_n is not None or config.rig.startswith(LAB)
         sections = {"certificate": values} if stated else {"tool": give, "certificate": values}
         found_json = {**found.as_json(), **values, "date": str(today())}
-        return RigCalibrationResult("certificate", sections, tuple(rows), figure, found_json)
+        kept: list[InputFile | Step] = [InputFile("known", to_json((known, given)).encode()), *curve_files(curves)]
+        kept.append(Step((replace(found, curves=()),)))
+        return RigCalibrationResult("certificate", sections, tuple(rows), figure, found_json, kept)
 
     given = setup.calibrated, places_m, touched, result, forces_n.tolist()
     found = _touched_result(config, opening, recording, *given)
     if config.save:
         write_values(Path(config.rig), found.values)
     return found
+
+
+def replay_certificate(recording: Replay) -> bool:
+    """Compare a recorded certificate with that of its touches, computed again; False: it has none. Raises Different."""
+    if "known" not in (inputs := recording.read_inputs()):
+        return False
+    known, given = from_json(tuple[KnownSample, tuple[float, ...]], inputs["known"].decode())
+    found = replace(certify_rig(kept_curves(recording), known, given), curves=())
+    compare(read_found(recording, RigBias), [found], recording.path)
+    return True

@@ -25,7 +25,7 @@ from deformscope.log.layout import FINDINGS
 from deformscope.pictures.figures import COLOURS, canvas, png_of
 from deformscope.pictures.messages import reason_rows
 from deformscope.pictures.report import Figure, Section, Table, html_report
-from deformscope.plain import Json, plain
+from deformscope.plain import Json
 from deformscope.recording.items import read_found, read_items, read_results
 from deformscope.recording.reader import Replay
 from deformscope.results.declared import quantities
@@ -33,7 +33,7 @@ from deformscope.results.render import ReportedResult, Rows, to_rows
 from deformscope.runs.calibration_report import provenance_sections, settings_section
 from deformscope.runs.force_log import UNITS, unit_of
 from deformscope.runs.pair_calibration import arrays_bytes
-from deformscope.runs.result import SourceResult, open_recorder
+from deformscope.runs.result import SourceResult, open_recorder, settings_of
 from deformscope.session import Step
 from deformscope.stages.map.exploration import TouchEstimate
 from deformscope.stages.poke.indentation import (
@@ -135,7 +135,7 @@ def indent(config: IndentConfig, arrays: Sequence[CurveArrays] = ()) -> IndentRe
         curves = [_of_arrays(one, name) for one, name in zip(arrays, config.sources, strict=True)]
     else:
         curves = [curve for source in config.sources for curve in curves_of(Path(source), config)]
-    return _fitted(curves, sample, {"command": "indent", **cast("dict[str, object]", plain(config))}, config.output)
+    return _fitted(curves, sample, settings_of(config), config.output)
 
 
 def _fitted(
@@ -146,22 +146,33 @@ def _fitted(
     together = combine(found) if len(found) > 1 else None
     result = IndentResult(sample=sample, curves=found, together=together, settings=settings)
     with open_recorder(output, {**settings, "indented": asdict(sample)}, FINDINGS.variant("indent")) as recorder:
-        for number, (curve, one) in enumerate(zip(curves, found, strict=True)):
-            given = {name: value for name, value in asdict(curve).items() if value is not None}
-            recorder.write(InputFile(f"curve/{number}", arrays_bytes(**given)))
+        for number, (one, given) in enumerate(zip(found, curve_files(curves), strict=True)):
+            recorder.write(given)
             recorder.write(Step((one,), frame=number))
         recorder.write(Step((result.findings(),), frame=0))
     return replace(result, recording=recorder.summary())
 
 
+def curve_files(curves: Sequence[IndentCurve]) -> list[InputFile]:
+    """The curves for a recording, so that it can be replayed."""
+    every = ({name: value for name, value in asdict(one).items() if value is not None} for one in curves)
+    return [InputFile(f"curve/{number}", arrays_bytes(**one)) for number, one in enumerate(every)]
+
+
+def kept_curves(recording: Replay) -> list[IndentCurve]:
+    """The curves from which a recorded run was computed."""
+    found = list[IndentCurve]()
+    for raw in recording.read_numbered("curve"):
+        one: dict[str, Any] = read_arrays(raw, "a recorded curve", recording.path)
+        found.append(IndentCurve(**{**one, "name": str(one["name"])}))
+    return found
+
+
 def replay_indent(recording: Replay, output: ViewOptions) -> tuple[list[IndentEstimate], IndentResult]:
     """The recorded estimates, and a new fit to the recorded curves."""
-    settings, curves = dict(recording.settings), list[IndentCurve]()
+    settings = dict(recording.settings)
     sample = msgspec.convert(settings.pop("indented"), IndentSample)
-    for raw in recording.read_numbered("curve"):
-        given: dict[str, Any] = read_arrays(raw, "a recorded curve", recording.path)
-        curves.append(IndentCurve(**{**given, "name": str(given["name"])}))
-    return read_found(recording, IndentEstimate), _fitted(curves, sample, settings, output)
+    return read_found(recording, IndentEstimate), _fitted(kept_curves(recording), sample, settings, output)
 
 
 def _of_arrays(given: CurveArrays, name: str) -> IndentCurve:

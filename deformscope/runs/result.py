@@ -12,7 +12,7 @@ from deformscope.plain import Json, plain
 from deformscope.results.render import Rows
 
 if TYPE_CHECKING:
-    from deformscope.config.options import ViewOptions
+    from deformscope.config.options import RecordedOptions, ViewOptions
     from deformscope.log.layout import Application
     from deformscope.recording.recorder import Recorder, RecordingSummary
 
@@ -98,6 +98,12 @@ def resolve_viewer(choice: ViewerChoice) -> Viewer:
     if choice != "auto":
         return choice
     return "native" if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") else "none"
+
+
+def settings_of(config: "RecordedOptions") -> dict[str, object]:
+    """All flags of a command, as its recording keeps them."""
+    command = type(config).__name__.removesuffix("Config").lower()
+    return {"command": command, **cast("dict[str, object]", plain(config))}
 
 
 def open_recorder(

@@ -2,7 +2,7 @@
 
 import dataclasses
 import datetime
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,6 +14,7 @@ from deformscope.errors import InputError
 from deformscope.experiments.rig.rig_calibration import Assistant, SetupRequest
 from deformscope.file_io import read_file, replacing
 from deformscope.files.arrays_file import read_arrays
+from deformscope.frames import InputFile
 from deformscope.lab.rig_members import member_of
 from deformscope.log.findings import RigFindings
 from deformscope.pictures.report import Figure, Findings, Table
@@ -43,13 +44,14 @@ class RigCalibrationResult:
     """Result of a rig calibration.
 
     kind: place, tip, camera, force or time; values: values for the rig file; rows: names and values of the table;
-    figure: how far each measurement is off; found: results for JSON"""
+    figure: how far each measurement is off; found: results for JSON; kept: what its recording has for a replay"""
 
     kind: str
     values: Values
     rows: tuple[tuple[str, str], ...]
     figure: Figure
     found: Mapping[str, Any] = field(default_factory=dict)
+    kept: Sequence[InputFile | Step] = ()
 
     @property
     def dated(self) -> Values:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import deformscope as ds
 from deformscope.cli import main
 from deformscope.lab.scenes import built_in
 from deformscope.lab.session_errors import LabErrors
@@ -39,7 +40,7 @@ def rig(tmp_path: Path, monkeypatch: Patch) -> Path:
     return path
 
 
-def test_a_hidden_rig_has_its_bias_in_the_interval(tmp_path: Path, capsys: Capture) -> None:
+def test_a_hidden_rig_has_its_bias_in_the_interval(tmp_path: Path, capsys: Capture, monkeypatch: Patch) -> None:
     """Nothing of what was drawn reaches the result but by the touches; the recording has it beside."""
     found, recording = tmp_path / "found.json", tmp_path / "c.rrd"
     flags = ["--sample", "lab-block", "--seed", "8", "--touches", "2", "--viewer", "none"]
@@ -56,6 +57,15 @@ def test_a_hidden_rig_has_its_bias_in_the_interval(tmp_path: Path, capsys: Captu
     assert CertificateSection(**section).interval == pytest.approx([low, high])
     assert Replay(recording).settings["laboratory"]["drawn"]["gain"] == drawn.gain
     assert verify_here(recording) == 0
+    assert main(["replay", str(recording)]) == 0
+    assert "the certificate computed again from its touches, identical" in capsys.readouterr().err
+    page = tmp_path / "page.html"
+    assert main(["report", str(recording), "--out", str(page)]) == 0
+    assert "holds  certificate of lab:block-162: bias +" in capsys.readouterr().out
+    assert "Force over depth of each touch, with the law" in page.read_text()
+    monkeypatch.setattr("deformscope.stages.poke.certificate.OFF_SHARE", 0.3)
+    assert main(["replay", str(recording)]) == 2
+    assert "another bias of RigBias" in capsys.readouterr().err
     assert main(["catalog", "compare", str(recording), str(recording), "--json", str(found)]) == 0
     assert "certificates" not in json.loads(found.read_text())
 
@@ -65,11 +75,18 @@ def test_a_rig_file_gets_its_certificate_and_explore_doctor_and_compare_use_it(
 ) -> None:
     use_a_simulated_clock(monkeypatch)
     use_quick_scene(monkeypatch)
-    flags = ["--sample", "lab-block", "--thickness-m", "0.05", "--touches", "1", "--save"]
-    assert main(["certify", str(rig), *flags]) == 0
+    touched = tmp_path / "touched.rrd"
+    found = ds.certify(rig, sample="lab-block", thickness_m=0.05, touches=1, save=True, record=touched)
     made = load_rig(rig).certificate
     assert made is not None
     assert (made.sample, made.tip, made.days) == ("lab-block", "sphere of 20 mm", 0)
+    assert made.bias == pytest.approx(found.to_dict()["bias"], rel=1e-6)
+    assert "modulus read" in str(found)
+    assert "a recipe's modulus is of one laboratory" in str(found)
+    replayed = ds.replay(touched)
+    assert "the certificate computed again from its touches, identical to the recorded one" in str(replayed)
+    bytes_of = {one["device"]: one["compared"] for one in replayed.to_dict()["devices"]}
+    assert bytes_of["tip"] > 100
     rig.write_text(BLOCK + CERTIFICATE)
     plain, corrected, told = tmp_path / "a.rrd", tmp_path / "b.rrd", tmp_path / "told.json"
     stiff = []
@@ -167,6 +184,11 @@ def test_a_certificate_that_is_none_is_refused(line: str, says: str, rig: Path, 
     rig.write_text(BLOCK + CERTIFICATE.replace(line, wrong))
     assert main(["doctor", str(rig)]) == 2
     assert says.split(" ")[0] in one_line(capsys)
+
+
+def test_the_block_is_listed(capsys: Capture) -> None:
+    assert main(["explore", "--list-scenarios"]) == 0
+    assert "lab:block-162              hardness 0.98 to 1.02" in capsys.readouterr().out
 
 
 def test_a_sample_may_be_the_result_of_indent(tmp_path: Path, monkeypatch: Patch) -> None:

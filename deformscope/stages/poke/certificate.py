@@ -179,7 +179,7 @@ class _Rig:
 def certify_rig(curves: Sequence[IndentCurve], known: KnownSample, tolerance: Sequence[float] = TOLERANCE) -> RigBias:
     """The bias of a rig and its causes by touches of a sample of known modulus. tolerance: deviations (5,) of causes
     that are not off. Raises the errors of `fit_indentation`, and InputError for touches that disagree."""
-    estimates = [fit_indentation(one, known.lies) for one in curves]
+    estimates = [fit_indentation(one, known.lies, creep=False) for one in curves]
     read = combine(estimates)
     if read.scatter > UNEVEN:
         came, hint = f"touches that differ by {read.scatter:.0%}", "a sample of one material, away from its sides"

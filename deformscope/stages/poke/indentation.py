@@ -441,9 +441,9 @@ class SplitCurve:
             return None
 
 
-def fit_indentation(curve: IndentCurve, sample: IndentSample) -> IndentEstimate:
+def fit_indentation(curve: IndentCurve, sample: IndentSample, *, creep: bool = True) -> IndentEstimate:
     """The modulus of a sample by one poke. Raises InputError for a curve that does not touch, of a wrong sign or unit,
-    and for a tip that the sample has no room for."""
+    and for a tip that the sample has no room for. creep: fit the relaxation of a hold too"""
     poke = SplitCurve(curve, sample)
     if far := poke.far():
         time_s = None if poke.time_s is None else poke.time_s[far:]
@@ -515,7 +515,7 @@ def fit_indentation(curve: IndentCurve, sample: IndentSample) -> IndentEstimate:
         along_m=poke.depth_m - contact_m,
         force_n=poke.force_n,
         law_n=law.response(dents) * plane[len(fits) // 2] * (dents > 0.0),
-        creep=poke.creep(),
+        creep=poke.creep() if creep else None,
     )
 
 

@@ -8,7 +8,7 @@ panels of constant pressure (Love 1929) with the layer's part of L on top."""
 
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import scipy  # its parts are imported as they are first used: who only reads results needs none
@@ -94,18 +94,20 @@ class TipLaw:
 
     def response(self, depth_m: FloatArray | float) -> FloatArray:
         """Force over E* [m^2] at depths (n,) [m]."""
-        return self._along(*self._logs, depth_m, self.exponent)
+        return self._along(0, depth_m, self.exponent)
 
     def depth(self, response: FloatArray | float) -> FloatArray:
         """Depth [m] at forces over E* (n,) [m^2]."""
-        return self._along(*self._logs[::-1], response, 1.0 / self.exponent)
+        return self._along(1, response, 1.0 / self.exponent)
 
-    def _along(self, known: FloatArray, values: FloatArray, at: FloatArray | float, first: float) -> FloatArray:
-        """The curve through logs (n,), and its powers beyond them: `first`, and the slope of its end."""
+    def _along(self, way: int, at: FloatArray | float, first: float) -> FloatArray:
+        """The curve through logs (n,), and its powers beyond them: `first`, and the slope of its end. way: 0 from depth
+        to force, 1 back"""
+        known, values = self._curves[way].x, self._curves[1 - way].x
         log = np.log(np.maximum(at, 1e-60))
         last = (values[-1] - values[-2]) / (known[-1] - known[-2])
         beyond = first * np.minimum(log - known[0], 0.0) + last * np.maximum(log - known[-1], 0.0)
-        inside = scipy.interpolate.PchipInterpolator(known, values)(np.clip(log, known[0], known[-1]))
+        inside = self._curves[way](np.clip(log, known[0], known[-1]))
         return np.asarray(np.exp(inside + beyond))
 
     def steepness(self, depth_m: float) -> float:
@@ -120,10 +122,11 @@ class TipLaw:
         return self.depth(share ** (self.exponent / max(exponent, 0.2)) * response) / scale_m
 
     @cached_property
-    def _logs(self) -> tuple[FloatArray, FloatArray]:
-        """Log depths (n,) and log forces over E*."""
-        depth, response = self._solved()
-        return np.log(depth), np.log(response)
+    def _curves(self) -> tuple[Any, Any]:
+        """Log force over E* by log depth, and back."""
+        depth, response = map(np.log, self._solved())
+        pchip = scipy.interpolate.PchipInterpolator
+        return pchip(depth, response), pchip(response, depth)
 
     def _solved(self) -> tuple[FloatArray, FloatArray]:
         """Depths (n,) [m] and forces over E* (n,) [m^2] of the tip."""
