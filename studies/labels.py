@@ -1,9 +1,10 @@
-"""`python -m studies labels`: how often intervals of `classify` hold the accuracy in containers never seen.
+"""`python -m studies labels`: how often intervals of `classify` hold the accuracy in new groups, and how wide they are.
 
 python -m studies labels --trials 200 --json labels.json
 
 The trials are of a generator that shares no code with the program (`studies/independent/labelled_rows.py`). The truth
-is that of the classifier that `classify --save` writes, on 800 trials of 160 new containers.
+is that of the classifier that `classify --save` writes, on 800 trials of 160 new containers, or on all other groups of
+scikit-learn's tables.
 """
 
 from collections.abc import Sequence
@@ -18,6 +19,7 @@ from deformscope.stages.squeeze.evaluation import EvaluationOptions, evaluate
 from deformscope.stages.squeeze.intervals import wilson
 from deformscope.stages.squeeze.table import LabelledTable
 from studies.independent.labelled_rows import CASES, Case, rows_of
+from studies.map_score import Z_90
 from studies.runner import Study, StudyOptions, StudyReport, Trials
 
 FIRST_SEED = 2000
@@ -26,8 +28,8 @@ SPLITS = 12
 
 @dataclass(frozen=True, slots=True)
 class LabelsConfig(StudyOptions):
-    """Count the intervals of `classify` on tables with groups, without groups, and with copies. A table takes some 0.7
-    s of a core."""
+    """Count the intervals of `classify` on tables with groups, without groups, with copies, and on scikit-learn's. A
+    table takes some 2 s of a core."""
 
     trials: flags.ManyFlag = 200
     """Tables of each case, from seed 2000 + SEED on."""
@@ -79,8 +81,15 @@ def report(options: LabelsConfig, seconds: float, *tried: Sequence[Counted]) -> 
         noted = float(np.mean([one.noted for one in mine]))
         json[case] = {"told": told, "truth": truth, "noted": noted, "n": len(mine), **shares}
         held = ["{:.2f} ({:.2f} to {:.2f})".format(one, *wilson(one, len(mine), 0.95)) for one in shares.values()]
-        lines.append((case, str(len(mine)), f"{told:.2f}", f"{truth:.2f}", *held, f"{noted:.2f}"))
-    names = "case", "tables", "told", "true", "first interval holds", "that of the splits holds", "copies noted"
+        width = float(np.mean([np.diff(one.second) for one in mine]))
+        rms = float(np.sqrt(np.mean([(one.told - one.truth) ** 2 for one in mine])))
+        json[case] |= {"width": width, "rms": rms}
+        wide = f"{width:.2f}, {rms:.3f}, {width / (2.0 * Z_90 * max(rms, 1e-9)):.2f}"
+        lines.append((case, str(len(mine)), f"{told:.2f}", f"{truth:.2f}", *held, f"{noted:.2f}", wide))
+    names = (
+        *("case", "tables", "told", "true", "first interval holds", "that of the splits holds", "copies noted"),
+        "its width, rms error, width over what that asks",
+    )
     return StudyReport([Table(lines, names, "Accuracy in containers never seen, 90 % intervals")], json)
 
 

@@ -12,7 +12,7 @@ from deformscope.results.declared import derived, reported
 from deformscope.stages.squeeze.groupings import trained_on
 from deformscope.stages.squeeze.intervals import Estimated, Interval, share_among_new, trials_worth, wilson
 from deformscope.stages.squeeze.model import ContentModel
-from deformscope.stages.squeeze.scores import ClassificationScore, balanced_worth, cluster_sizes, reliability_of
+from deformscope.stages.squeeze.scores import ClassificationScore, balanced_worth, clusters, reliability_of
 from deformscope.stages.squeeze.table import LabelledTable
 from deformscope.stages.squeeze.trial_run import joined_name
 
@@ -135,7 +135,9 @@ def score_of(
     trials = confusion.sum(axis=1)
     seen = trials > 0
     recall = np.diagonal(confusion)[seen] / trials[seen]
-    worth = trials_worth(cluster_sizes(table.group, rows))
+    log_truth = np.log(posterior[np.arange(len(rows)), target])
+    size, correlation = clusters(table.group, rows, log_truth)
+    worth = trials_worth(size, correlation=correlation)
     reliability = reliability_of(sure, right, 1.0, level)
     filled = reliability.count > 0
     error = np.abs(reliability.sure - reliability.right)[filled] @ reliability.count[filled] / len(rows)
@@ -156,7 +158,7 @@ def score_of(
         worth=worth,
         calibration_error=float(error),
         overconfidence=Estimated(over, (over - half, over + half)),
-        log_loss=float(-np.log(posterior[np.arange(len(rows)), target]).mean()),
+        log_loss=float(-log_truth.mean()),
         reliability=reliability,
         components=float("nan"),
         level=level,

@@ -9,6 +9,7 @@ import scipy
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.results.declared import derived, reported
+from deformscope.stages.squeeze import intervals
 from deformscope.stages.squeeze.intervals import Estimated, Interval, over_splits, share_of, trials_worth, wilson
 from deformscope.stages.squeeze.splits import Protocol, Split
 from deformscope.stages.squeeze.table import LabelledTable, TextArray
@@ -102,17 +103,21 @@ def worth_of(
     table: LabelledTable, protocol: Protocol | Literal["transfer"], splits: Sequence[Split], outcomes: Sequence[Answers]
 ) -> float:
     """Effective number of independent answers; the trials of a group are one cluster if groups are left out."""
-    tested = np.unique(np.concatenate([one.rows for one in outcomes]))
+    rows, log_truth = (np.concatenate([getattr(one, name) for one in outcomes]) for name in ("rows", "log_truth"))
+    tested, at, times = np.unique(rows, return_inverse=True, return_counts=True)
     group = table.group if protocol in ("group", "transfer") else None
+    size, correlation = clusters(group, tested, np.bincount(at, log_truth, len(tested)) / times)
     if protocol == "transfer":
-        return trials_worth(cluster_sizes(group, tested))
+        return trials_worth(size, correlation=correlation)
     share = float(np.mean([len(one.rows) for one in outcomes])) / max(len(tested), 1)
-    return trials_worth(cluster_sizes(group, tested), share, len(splits), split_ratio(splits))
+    return trials_worth(size, share, len(splits), split_ratio(splits), correlation)
 
 
-def cluster_sizes(group: TextArray | None, rows: IntArray) -> IntArray:
-    """(groups,) how many of the trials at rows (n,) are in each group; each is one where there are no groups."""
-    return np.ones(len(rows), np.int64) if group is None else np.unique(group[rows], return_counts=True)[1]
+def clusters(group: TextArray | None, rows: IntArray, log_truth: FloatArray) -> tuple[IntArray, float]:
+    """(groups,) how many of the trials at rows (n,) are in each group, each one where there are no groups; and
+    correlation in these. log_truth: (n,) as in `group_correlation`"""
+    at = np.arange(len(rows)) if group is None else np.unique(group[rows], return_inverse=True)[1]
+    return np.bincount(at), intervals.group_correlation(at, log_truth)
 
 
 def balanced_worth(worth: float, trials: IntArray) -> float:

@@ -51,6 +51,37 @@ def test_the_more_is_right_the_higher_are_both_ends(size: IntArray, level: float
         assert (ends[0, 0], ends[-1, 1]) == pytest.approx((0.0, 1.0))
 
 
+@pytest.mark.parametrize("rho", [0.03, 0.3, 0.7])
+def test_many_groups_show_how_alike_their_trials_are(rho: float) -> None:
+    rng, group = np.random.default_rng(5), np.repeat(np.arange(200), 8)
+    alike = np.sqrt(rho) * rng.standard_normal(200)[group] + np.sqrt(1.0 - rho) * rng.standard_normal(len(group))
+    assert intervals.group_correlation(group, -np.exp(-alike)) == pytest.approx(rho, abs=0.05)  # ranks alone count
+
+
+def test_the_correlation_is_the_mean_of_its_posterior() -> None:
+    """By drawing: correlations before any trial, whose trials differ between groups as much as these."""
+    rng, group = np.random.default_rng(6), np.repeat(np.arange(4), 6)
+    before = rng.beta(1.0, 1.0 / intervals.GROUP_CORRELATION - 1.0, 200_000)
+    own = np.sqrt(1.0 - before)[:, None, None] * rng.standard_normal((len(before), 4, 6))
+    drawn = np.sqrt(before)[:, None, None] * rng.standard_normal((len(before), 4, 1)) + own
+    ratio = 6.0 * drawn.mean(axis=2).var(axis=1, ddof=1) / drawn.var(axis=2, ddof=1).mean(axis=1)
+    score = stats.norm.ppf((np.arange(24) + 0.5) / 24)[rng.permutation(24)]
+    seen = 6.0 * score.reshape(4, 6).mean(axis=1).var(ddof=1) / score.reshape(4, 6).var(axis=1, ddof=1).mean()
+    same = np.abs(ratio / seen - 1.0) < 0.05
+    assert same.sum() > 1000
+    assert intervals.group_correlation(group, score) == pytest.approx(before[same].mean(), abs=0.015)
+
+
+def test_without_a_difference_or_a_second_group_the_correlation_is_the_expected_one() -> None:
+    for group, log_truth in (
+        (np.repeat([0, 1, 2], 5), np.zeros(15)),
+        (np.zeros(15, int), np.arange(15.0)),
+        (np.arange(15), np.arange(15.0)),
+    ):
+        assert intervals.group_correlation(group, log_truth) == intervals.GROUP_CORRELATION
+    assert intervals.group_correlation(np.repeat([0, 1, 2], 2), np.repeat([0.0, 1.0, 2.0], 2)) > 0.5
+
+
 @pytest.mark.parametrize("apart", [0.0, 1.0, 3.0])
 def test_new_groups_are_known_as_well_as_the_interval_says(apart: float) -> None:
     """Two classes whose means differ from group to group: the interval of 90 % holds what new groups give, also where
@@ -61,15 +92,19 @@ def test_new_groups_are_known_as_well_as_the_interval_says(apart: float) -> None
         group, target, x = _grouped(rng, 10, apart)
         _, new_target, new = _grouped(rng, 150, apart)
         seen, true = [], []
+        margin, times = np.zeros(len(group)), np.zeros(len(group))
         for split in range(20):
             test = np.isin(group, rng.permutation(10)[:3])
             means = np.stack([x[~test & (target == one)].mean(axis=0) for one in (0, 1)])
+            away = ((x[test, None] - means) ** 2).sum(axis=-1)
+            margin[test] += np.diff(away, axis=1)[:, 0] * (1 - 2 * target[test])
+            times += test
             seen.append(float((_nearest(means, x[test]) == target[test]).mean()))
             if split % 5 == 0:
                 true.append(float((_nearest(means, new) == new_target).mean()))
-        low, high = intervals.share_of(
-            np.array(seen), intervals.trials_worth(np.full(10, 20), 0.3, 20, 3 / 7), 0.9
-        ).interval
+        correlation = intervals.group_correlation(group, margin / np.maximum(times, 1.0))
+        worth = intervals.trials_worth(np.full(10, 20), 0.3, 20, 3 / 7, correlation)
+        low, high = intervals.share_of(np.array(seen), worth, 0.9).interval
         held += low <= np.mean(true) <= high
     assert held >= 48  # 90 % less 2.6 binomial deviations
 
