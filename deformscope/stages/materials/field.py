@@ -63,8 +63,13 @@ MATERIALS = (1, 2, 3, 4)
 BORDER_ROUNDS = 6
 """Rounds of fitting levels and moving borders."""
 
-BORDER_COST = 0.4
-"""Cost of a border for each pair of cells that it separates, in natural logarithms of a probability."""
+WIDTHS = (1.0, 2.0)
+"""How wide borders may be besides steps [spacings], as in `FieldFit.wide_levels`: 10 to 90 % of the change within 2.6
+and 5.1 spacings."""
+
+BORDER_COST, WIDE_COST = 0.4, 0.2
+"""Cost of a border for each pair of cells that it separates, in natural logarithms of a probability; a wide border has
+less detail."""
 
 PLAUSIBLE = 0.05
 """Least probability of a description that intervals include."""
@@ -100,7 +105,7 @@ STRAIN_MOST = 0.15
 class Description:
     """One way to describe the field. fit: the fit that `point` belongs to; label: (C,) materials, -1 where it is
     smooth; root: root of the covariance after the data (p, q); weight: logarithm of its probability, without the common
-    part; misfit: chi2 for each number"""
+    part; misfit: chi2 for each number; width: width of borders, as in `WIDTHS`, 0 = steps"""
 
     name: str
     fit: FieldFit
@@ -112,6 +117,7 @@ class Description:
     weight: float
     judged: LeftOutError
     misfit: float
+    width: float = 0.0
 
     def relative(self, edges: IntArray, sds: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """(C,) log stiffness over its mean, and the ends of its interval; a cell at a border may be of either side."""
@@ -119,7 +125,7 @@ class Description:
         mean = at.mean()
         root = root - root.mean(axis=0)
         variance = (root**2).sum(axis=1) * max(1.0, self.misfit)
-        if self.label[0] < 0:
+        if self.label[0] < 0 or self.width:
             p, reach = at - mean, sds * np.sqrt(variance)
             return p, p - reach, p + reach
         p = (self._pure(edges) @ at)[self.label] - mean
@@ -153,7 +159,11 @@ class Description:
         return self.point.at[:count], self.root[:count]
 
     def _pure(self, edges: IntArray) -> FloatArray:
-        """(k, C) means over each material's cells that no border passes through, or over all where there are none."""
+        """(k, C) means over each material's cells that no border passes through, or over all where there are none; of
+        wide borders, its cell that they reach least."""
+        if self.width:
+            deepest = self.prior.root[: len(self.label), : self.label.max() + 1].argmax(axis=0)
+            return np.asarray(np.eye(len(self.label))[deepest])
         member = (self.label == np.arange(self.label.max() + 1)[:, None]).astype(np.float64)
         inner = member.copy()
         inner[:, field_levels.border_cells(self.label, edges)] = 0.0
@@ -209,7 +219,8 @@ def fit_field(
     if not determined or doubted or any(one.allows == "unidentified" for one in reasons):
         kind = "unidentified"
     absolute, absolute_ends = _absolute(chosen, value, interval, np.random.default_rng(seed), sds)
-    ratio, _ = chosen.contrast(edges, sds)
+    likeliest = max(included, key=lambda one: one.weight)  # its borders may be wide
+    ratio, _ = (likeliest if chosen.label.max() else chosen).contrast(edges, sds)
     ratio_ends = min(low for low, _ in contrasts), max(high for _, high in contrasts)
     d = seen.rest.shape[1]
     off = np.linalg.norm((chosen.point.state.moved - fit.displacement)[seen.observed], axis=1)
@@ -257,7 +268,7 @@ def _descriptions(
     fit: FieldFit, edges: IntArray, done: Callable[[int], None]
 ) -> tuple[float, list[Description], list[Description]]:
     """Correlation length of a smooth field [spacings]; all descriptions: smooth, one material, more, and last an
-    anisotropic one and one with a smooth error; and others of as many materials, with other borders."""
+    anisotropic one and one with a smooth error; and others of as many materials, with other borders or wide ones."""
     reach, noise, point = _smooth(fit)
     done(1)
     found = [_described(fit, "smooth", fit.prior(reach), noise, point)]
@@ -269,6 +280,8 @@ def _descriptions(
         done(1 + count)
         if not some or (count > 2 and some[0].weight < found[-2].weight):
             break
+    if max(one.weight for one in found[1:]) > found[1].weight:
+        others += [wide for one in found[2:4] for wide in _wide(fit, one, edges)]
     return reach, [*found, _rival(found[1], "anisotropic"), _rival(found[1], "smooth error")], others
 
 
@@ -307,8 +320,9 @@ def _described(
     point: FieldPoint,
     label: IntArray | None = None,
     cost: float = 0.0,
+    width: float = 0.0,
 ) -> Description:
-    """With the noise that is likeliest under it. label: (C,) materials; cost: cost of their borders"""
+    """With the noise that is likeliest under it. label: (C,) materials; cost, width: of their borders"""
     noise, _ = likeliest_noise(fit, prior, point, near=noise)
     point = fit.fit(prior, noise, point.at)
     _, evidence = likeliest_noise(fit, prior, point, near=noise)
@@ -317,7 +331,7 @@ def _described(
     left = solve_triangular(root, fit.target - point.moved, lower=True)
     label = np.full(len(fit.cells), -1) if label is None else label
     after, misfit = posterior(fit, prior, noise, point), float(left @ left) / len(left)
-    return Description(name, fit, label, prior, point, after, noise, evidence - cost, judged, misfit)
+    return Description(name, fit, label, prior, point, after, noise, evidence - cost, judged, misfit, width)
 
 
 def _materials(fit: FieldFit, found: list[Description], edges: IntArray, count: int) -> list[Description]:
@@ -342,6 +356,17 @@ def _materials(fit: FieldFit, found: list[Description], edges: IntArray, count: 
         best = max(described, key=lambda one: one.weight)
         described += _found_from(fit, best.noise, best.label, edges, count, described)
     return sorted(described, key=lambda one: -one.weight)
+
+
+def _wide(fit: FieldFit, one: Description, edges: IntArray) -> list[Description]:
+    """The same materials with wide borders: a step leaves open how far they reach."""
+    level, found = one._pure(edges) @ one.point.at[: len(one.label)], []
+    cost = WIDE_COST * field_levels.border_length(one.label, edges)
+    for width in WIDTHS:
+        prior = fit.wide_levels(one.label, level, width)
+        point = fit.fit(prior, one.noise, one.point.at)
+        found.append(_described(fit, one.name, prior, one.noise, point, one.label, cost, width))
+    return found
 
 
 def _found_from(

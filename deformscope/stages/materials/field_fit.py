@@ -14,13 +14,13 @@ from typing import Literal
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.spatial.distance import cdist
-from scipy.special import expit
+from scipy.special import expit, ndtri
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.fit.held_out import blocks_of
 from deformscope.stages.fit.model import Observation
-from deformscope.stages.gaussian_process import correlation
+from deformscope.stages.gaussian_process import correlation, gaussian_between
 from deformscope.stages.materials.cell_model import CellModel, CellState, Law, lattice_cells
 
 SPREAD = float(np.log(3.0))
@@ -31,6 +31,9 @@ NOISE_ROUGH, NOISE_SMOOTH = 0.02, 0.002
 
 BORDER_SPREAD = 0.35
 """Deviation of the log stiffness of a cell at a border from its material's: the border may pass through it."""
+
+SHIFT = 1.0
+"""Deviation of a wide border's place from where a step was found [spacings]."""
 
 SIZES = np.exp(np.linspace(np.log(1e-6), np.log(1.0), 401))
 """Deviations of an error that are tried, as shares of the deformation's largest displacement."""
@@ -151,6 +154,16 @@ class FieldFit:
         if border is not None:
             root = np.hstack([root, BORDER_SPREAD * np.eye(len(label))[:, border]])
         return self._with_common(root)
+
+    def wide_levels(self, label: IntArray, level: FloatArray, width: float) -> StiffnessPrior:
+        """One number for each material, whose borders are normal distribution functions of deviation `width` [spacings]
+        about `SHIFT` away from where steps were found. label: (C,) from the softest; level: (k,) their approximate log
+        stiffness, in which a border's shift is linear"""
+        near = gaussian_between(self.place, self.place, width * self.spacing)
+        member = near @ np.eye(len(level))[label] / near.sum(axis=1, keepdims=True)
+        stiffer = np.clip(member[:, ::-1].cumsum(axis=1)[:, -2::-1], 1e-9, 1.0 - 1e-9)
+        slope = np.exp(-0.5 * ndtri(stiffer) ** 2) / (np.sqrt(2.0 * np.pi) * width)
+        return self._with_common(np.hstack([2.0 * SPREAD * member, SHIFT * np.diff(level) * slope]))
 
     def _with_common(self, root: FloatArray) -> StiffnessPrior:
         """The prior of parameters (C + 1,): of cells with root (C, q), and of Poisson's ratio; of `beta`, a level that

@@ -6,14 +6,21 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 from scipy.spatial.distance import cdist
-from scipy.stats import multivariate_normal
+from scipy.stats import multivariate_normal, norm
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.fit.model import Observation
 from deformscope.stages.materials.field import fit_field
 from deformscope.stages.materials.field_estimate import FieldEstimate
-from deformscope.stages.materials.field_fit import FieldFit, NoiseModel, StiffnessPrior, in_whole_cells, likeliest_noise
+from deformscope.stages.materials.field_fit import (
+    SPREAD,
+    FieldFit,
+    NoiseModel,
+    StiffnessPrior,
+    in_whole_cells,
+    likeliest_noise,
+)
 from deformscope.stages.materials.field_levels import border_cells, border_length, cuts, gain, neighbours, sharpened
 from studies.field_bodies import SPACING_M, elastic_pair
 from studies.independent.orthotropic_elements import OrthotropicLaw, PlateWay, isotropic, plate
@@ -54,6 +61,38 @@ def test_two_materials_their_border_and_their_ratio() -> None:
     places = estimate.as_json()["places"]
     assert isinstance(places, dict)
     assert len(places["at_m"]) == 70
+
+
+@pytest.mark.parametrize("seed", [4, 9])
+def test_the_ratio_of_a_smooth_border_is_within_its_interval(seed: int) -> None:
+    """10 to 90 % of the change are within 3.3 spacings: of other elements, and their noise."""
+
+    def young(places: FloatArray) -> FloatArray:
+        return np.asarray(1.0 + 1.5 * (1.0 + np.tanh((places[:, 0] - 0.06) / 0.015)))
+
+    shape = (13, 8)
+    seen = plate(shape, isotropic(0.3), young, way="shear", camera=False, rng=np.random.default_rng([seed, 5]))
+    everyone = np.ones(len(seen.rest), dtype=bool)
+    estimate = found(
+        Observation(seen.rest, seen.deformed, seen.held, everyone, shape=shape, cell=np.arange(len(seen.rest)))
+    )
+    true = float(np.ptp(np.log(young(estimate.place))))
+    low, high = np.log(estimate.ratio_interval)
+    assert low < true < high
+    assert abs(np.log(estimate.ratio) - true) < 0.3
+    assert held_share(estimate, young(estimate.place)) > 0.8
+
+
+def test_wide_borders_are_normal_distribution_functions_that_may_lie_elsewhere() -> None:
+    fit = FieldFit(elastic_pair((21, 3), halves), "elastic")
+    width, level, at = 1.7, np.array([0.2, 0.8]), fit.place[:, 0] / fit.spacing - 10.0
+    prior = fit.wide_levels((at > 0.0).astype(np.int64), level, width)
+    soft, stiff, shift = prior.root[: len(at), :3].T
+    near = np.abs(at) < 8.0
+    assert soft + stiff == pytest.approx(np.full(len(at), 2.0 * SPREAD))
+    assert stiff[near] / (2.0 * SPREAD) == pytest.approx(norm.cdf(at[near] / width), abs=0.01)
+    ahead, behind = (norm.cdf((at + sign * 0.1) / width) for sign in (1.0, -1.0))
+    assert shift[near] == pytest.approx(0.6 * (ahead - behind)[near] / 0.2, abs=0.01)
 
 
 def own_plate(law: OrthotropicLaw, way: PlateWay, *, camera: bool = False, seed: int = 0) -> Observation:
