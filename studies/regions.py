@@ -3,6 +3,7 @@
 python -m studies regions --objects 300 --jobs 8 --json -
 python -m studies regions --objects 50 --scatter 0.08 --only "scatter 8 %"
 python -m studies regions --objects 24 --touches 16 --only "4 materials"
+python -m studies regions --objects 20 --touches 12 --only scenes
 
 Do a map's probabilities and intervals hold? Explorations of known surfaces, touched in closed form.
 
@@ -13,7 +14,7 @@ the estimator's own prior (simulation-based calibration, Talts et al. 2018), and
 
 import dataclasses
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, Literal
@@ -30,12 +31,12 @@ from deformscope.lab.arm_contact import ARM_STIFFNESS_N_M
 from deformscope.lab.scenes import built_in
 from deformscope.lab.session_errors import LabErrors, SessionErrors
 from deformscope.pictures.report import Table
-from deformscope.stages.map.map_score import match_regions
+from deformscope.stages.map.map_score import called_labels, match_regions
 from deformscope.stages.map.plan import FieldKernel, PlanOptions, plan_touch
 from deformscope.stages.regions.levels import RegionPrior
 from deformscope.stages.regions.partitions import draw
 from deformscope.stages.regions.posterior import SLOPES_PER_M, SMOOTH_LENGTHS_M, SMOOTH_SDS, RegionPosterior
-from deformscope.stages.regions.touch_error import LAW_SD, SCATTER_LENGTH_M, SCATTER_SHARED
+from deformscope.stages.regions.touch_error import LAW_SD, SCATTER_LENGTH_M, SCATTER_SHARED, TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 from studies.independent.random_maps import random_surface
 from studies.map_score import Z_90, TrueMap
@@ -53,6 +54,15 @@ SCENES = (
 TOUCHES = 8
 """Number of touches that `explore` makes by default."""
 CELL_M = 0.01
+LOOKED_AT = (4, 8)
+"""Touches after which layouts are counted too, besides the last."""
+LAYOUTS = (
+    *("homogeneous-60", "two-60-150", "three-60-110-200", "disc", "wavy", "zigzag"),
+    *("gradient", "patches", "thin-thick", "ring", "strip", "corner"),
+)
+"""Scenes that are counted one by one."""
+EXACT_SD = 0.01
+"""Deviation of the touches of the oracle, which are exact otherwise."""
 BLUR_M = (0.006, 0.009)
 """Blur of a contact; the estimator assumes 0.0075."""
 BINS = 5
@@ -67,7 +77,8 @@ class RegionCondition:
 
     errors: None draws scatter, gain and arm from the estimator's own prior; gain_at, arm_at: fixed at this number of
     their standard deviations, with the sign by the seed, instead of random; materials: on maps of an independent
-    generator (`studies.independent.random_maps`), which has its own errors, 0 = a gradual change"""
+    generator (`studies.independent.random_maps`), which has its own errors, 0 = a gradual change; scene: the only
+    scene, for which an oracle touches the same places without errors"""
 
     name: str
     truth: Truth
@@ -75,6 +86,7 @@ class RegionCondition:
     gain_at: float | None = None
     arm_at: float | None = None
     materials: int = 0
+    scene: str = ""
 
 
 def scattered(share: float) -> RegionCondition:
@@ -99,6 +111,9 @@ INDEPENDENT_CONDITIONS = tuple(
 )
 """Where nothing is shared with the estimator: maps, contacts and errors of their own."""
 
+LAYOUT_CONDITIONS = tuple(RegionCondition(f"scene {name}", "scenes", LabErrors(), scene=name) for name in LAYOUTS)
+"""Layouts of one scene, with all errors."""
+
 
 @dataclass(frozen=True, slots=True)
 class RegionCase:
@@ -120,7 +135,9 @@ class RegionOutcome:
     the number is right and above 1; scatter: as learned; touches: made
     cells_held: share of the surface whose true log stiffness lies in the 90 % interval; at_least: reported as `count`
     or more
-    met: true regions in which a touch was made: no other can be counted"""
+    met: true regions in which a touch was made: no other can be counted; places_m: places of
+    touches; iou: mean overlap of regions, nan where stiffness is gradual; oracle: outcome of exact touches at the same
+    places, None without one"""
 
     condition: str
     seed: int
@@ -140,6 +157,9 @@ class RegionOutcome:
     cells_held: float = np.nan
     at_least: bool = False
     met: int = 0
+    places_m: tuple[tuple[float, float], ...] = ()
+    iou: float = np.nan
+    oracle: "RegionOutcome | None" = None
 
     @property
     def right(self) -> bool:
@@ -156,12 +176,13 @@ class KnownSurface:
     """A surface and the session it is touched in.
 
     true: labels and levels; places_m: (p, 2) that can be touched; felt: (p,) log stiffness [N/mm] of a contact there,
-    scatter in it; gain: log of the force's; arm: deviations by which its compliance is off; own_sd: deviation of each
-    touch alone"""
+    scatter in it; exact: (p,) without; gain: log of the force's; arm: deviations by which its compliance is off;
+    own_sd: deviation of each touch alone"""
 
     true: TrueMap
     places_m: FloatArray
     felt: FloatArray
+    exact: FloatArray
     gain: float
     arm: float
     scatter_sd: float
@@ -179,6 +200,11 @@ class KnownSurface:
         bent = arm_doubt * 1e3 * np.exp(felt) / ARM_STIFFNESS_N_M  # k dC, for a deviation
         value = felt + self.gain + self.arm * bent + own_sd * float(self._random.standard_normal())
         return StiffnessSample(xy_m, float(value), own_sd, arm_sd=float(bent))
+
+    def touch_exactly(self, xy_m: FloatArray) -> StiffnessSample:
+        """A touch without errors at the nearest place (2,) [m]."""
+        value = float(self.exact[np.argmin(((self.places_m - xy_m) ** 2).sum(axis=1))])
+        return StiffnessSample(xy_m, value, EXACT_SD)
 
 
 def known_surface(condition: RegionCondition, seed: int, prior: RegionPrior) -> KnownSurface:
@@ -203,19 +229,20 @@ def known_surface(condition: RegionCondition, seed: int, prior: RegionPrior) -> 
     if condition.truth == "prior":
         true, felt = _from_prior(rng, prior, grid, places_m)
     else:
-        true, felt = _from_scene(SCENES[seed % len(SCENES)], seed, grid, places_m, float(rng.uniform(*BLUR_M)))
+        name = condition.scene or SCENES[seed % len(SCENES)]
+        true, felt = _from_scene(name, seed, grid, places_m, float(rng.uniform(*BLUR_M)))
     field = session.scatter(places_m)
     if condition.errors is None:  # as `touch_error` has it: neighbours share a part
         own = session.scatter_sd * rng.standard_normal(len(places_m))
         field = np.sqrt(SCATTER_SHARED) * field + np.sqrt(1.0 - SCATTER_SHARED) * own
-    felt = felt + field
-    return KnownSurface(true, places_m, felt, gain, arm, session.scatter_sd, seed)
+    return KnownSurface(true, places_m, felt + field, felt, gain, arm, session.scatter_sd, seed)
 
 
 def _from_maps(materials: int, seed: int) -> KnownSurface:
     """A surface of the independent generator."""
     grid, places_m = MapGrid(cell_m=CELL_M), MapGrid(cell_m=PlanOptions().cell_m).centres_m
     surface = random_surface(materials, INDEPENDENT.start + seed)
+    felt = surface.felt(places_m)
     log_stiffness = surface.log_stiffness(grid.centres_m).reshape(grid.shape)
     true = TrueMap(None, np.zeros(0), np.zeros(0, dtype=bool), log_stiffness)
     if materials:
@@ -223,7 +250,8 @@ def _from_maps(materials: int, seed: int) -> KnownSurface:
     return KnownSurface(
         true=true,
         places_m=places_m,
-        felt=surface.felt(places_m),
+        felt=felt,
+        exact=felt,
         gain=0.0,
         arm=0.0,
         scatter_sd=surface.scatter_sd,
@@ -295,21 +323,39 @@ def _true(labels: IntArray, level: FloatArray) -> TrueMap:
     return TrueMap(labels, level, np.zeros(len(level), dtype=bool), level[labels])
 
 
-def explore_known(case: RegionCase) -> RegionOutcome:
-    """One exploration, until the end of the plan."""
+def explore_known(case: RegionCase) -> tuple[RegionOutcome, ...]:
+    """One exploration, until the end of the plan; of a scene alone also what was found before."""
     condition, prior = case.condition, RegionPrior()
     surface = known_surface(condition, case.seed, prior)
     doubt = LabErrors().arm if condition.errors is None else condition.errors.arm or LabErrors().arm
     options = PlanOptions(budget=case.touches)
     posterior = RegionPosterior.before_touches(MapGrid(cell_m=CELL_M), prior, seed=case.seed)
+    looked_at = (
+        (*(one for one in LOOKED_AT if one < case.touches), case.touches) if condition.scene else (case.touches,)
+    )
+    error = TouchErrorModel(scatter_median=EXACT_SD, scatter_spread=0.0)
+    exact = RegionPosterior.before_touches(posterior.grid, replace(prior, error=error), seed=case.seed)
+    found: list[RegionOutcome] = []
     with threadpool_limits(1):
-        while True:
+        while len(found) < len(looked_at):
             plan = plan_touch(posterior, FieldKernel(), options)
-            if plan.stop is not None or plan.target_m is None:
-                break
-            posterior = posterior.with_touch(surface.touch(plan.target_m, doubt))
-        shown = posterior.region_map()
-    truth = surface.true
+            ended = plan.stop is not None or plan.target_m is None
+            while len(found) < len(looked_at) and (ended or len(posterior.touches) == looked_at[len(found)]):
+                one = _outcome(case, surface, posterior)
+                if condition.scene:
+                    name = f"{condition.name}, {looked_at[len(found)]} touches"
+                    one = replace(one, condition=name, oracle=_outcome(case, surface, exact))
+                found.append(one)
+            if plan.target_m is not None and not ended:
+                posterior = posterior.with_touch(surface.touch(plan.target_m, doubt))
+                if condition.scene:
+                    exact = exact.with_touch(surface.touch_exactly(plan.target_m))
+    return tuple(found)
+
+
+def _outcome(case: RegionCase, surface: KnownSurface, posterior: RegionPosterior) -> RegionOutcome:
+    """Of the map after all touches."""
+    shown, truth = posterior.region_map(), surface.true
     same = shown.region_count == truth.region_count
     met = 0
     if truth.labels is not None:
@@ -331,7 +377,7 @@ def explore_known(case: RegionCase) -> RegionOutcome:
             as_true[one] = true
         wrong = float((as_true[shown.labels] != truth.labels).mean()) if truth.region_count > 1 else np.nan
     return RegionOutcome(
-        condition=condition.name,
+        condition=case.condition.name,
         seed=case.seed,
         true_count=truth.region_count,
         count=shown.region_count,
@@ -349,6 +395,8 @@ def explore_known(case: RegionCase) -> RegionOutcome:
         cells_held=float((np.abs(shown.field - truth.log_stiffness) <= Z_90 * shown.field_sd).mean()),
         at_least=shown.more_possible,
         met=met,
+        places_m=tuple((float(x), float(y)) for x, y in (one.xy_m for one in posterior.touches)),
+        iou=np.nan if truth.labels is None else match_regions(called_labels(shown), truth.labels)[0],
     )
 
 
@@ -409,7 +457,7 @@ class RegionCoverageConfig(StudyOptions):
     """One more condition: foam whose log stiffness scatters by this, such as 0.08."""
     only: Annotated[str, arg(metavar="NAME,NAME...")] = ""
     """These conditions alone, such as "stated prior,scatter 6 %"; also "gradual maps" and "1 materials" to
-    "5 materials", which share nothing with the estimator."""
+    "5 materials", which share nothing with the estimator, and "scenes": layouts of each scene, for claims and maps."""
     touches: flags.ManyFlag = 8
     """Touches of each exploration at most."""
 
@@ -452,21 +500,44 @@ QUANTITIES: tuple[Quantity[Sequence[RegionOutcome]], ...] = (
     Quantity("cells_held", lambda some: float(np.mean([one.cells_held for one in some])), {"cells held": number(2)}),
     Quantity("scatter_learned", lambda some: float(np.median([one.scatter for one in some]))),
     Quantity("touches", lambda some: float(np.mean([one.touches for one in some])), {"touches": number(1)}),
+    Quantity("iou", lambda some: _or_nan(np.median, [one.iou for one in some]), {"IoU": number(2)}),
+    Quantity(
+        "oracle_right",
+        lambda some: Rate.of(one.oracle.right for one in some if one.oracle),
+        {"exact touches: number right": share(2)},
+    ),
+    Quantity(
+        "oracle_claimed",
+        lambda some: _or_nan(np.mean, [one.oracle.claimed for one in some if one.oracle]),
+        {"claimed by these": number(2)},
+    ),
+    Quantity(
+        "oracle_iou",
+        lambda some: _or_nan(np.median, [one.oracle.iou for one in some if one.oracle]),
+        {"IoU of these": number(2)},
+    ),
 )
 
 
 def _conditions(options: RegionCoverageConfig) -> list[RegionCondition]:
-    every = [*REGION_CONDITIONS, *INDEPENDENT_CONDITIONS]
+    every = [*REGION_CONDITIONS, *INDEPENDENT_CONDITIONS, *LAYOUT_CONDITIONS]
     if options.scatter is not None and scattered(options.scatter) not in every:
         every.append(scattered(options.scatter))
     named = [name.strip() for name in options.only.split(",") if name.strip()]
+    if "scenes" in named:
+        named += [one.name for one in LAYOUT_CONDITIONS]
+        named.remove("scenes")
     known = [one.name for one in every]
     if unknown := [name for name in named if name not in known]:
         raise InputError(f"conditions out of {', '.join(known)}", ", ".join(map(repr, unknown)), "leave --only out")
-    return [one for one in every if one.name in named] if named else [one for one in every if one.truth != "maps"]
+    return (
+        [one for one in every if one.name in named]
+        if named
+        else [one for one in every if one.truth != "maps" and not one.scene]
+    )
 
 
-def trials(options: RegionCoverageConfig) -> list[Trials[RegionCase, RegionOutcome]]:
+def trials(options: RegionCoverageConfig) -> list[Trials[RegionCase, tuple[RegionOutcome, ...]]]:
     """Every condition, seed by seed."""
     conditions = _conditions(options)
     seeds = reported(options.objects, options.output.seed)
@@ -474,14 +545,15 @@ def trials(options: RegionCoverageConfig) -> list[Trials[RegionCase, RegionOutco
     return [Trials("explorations", explore_known, cases)]
 
 
-def report(options: RegionCoverageConfig, seconds: float, tried: Sequence[RegionOutcome]) -> StudyReport:
+def report(options: RegionCoverageConfig, seconds: float, explored: Sequence[tuple[RegionOutcome, ...]]) -> StudyReport:
     """A line of each condition, and bins of what was claimed."""
-    conditions, seeds = _conditions(options), reported(options.objects, options.output.seed)
-    groups = by(tried, lambda one: one.condition)
-    some = [groups[condition.name] for condition in conditions]
-    lines, bins = rows(some, QUANTITIES), [reliability(one) for one in some]
+    seeds, tried = reported(options.objects, options.output.seed), [one for outcomes in explored for one in outcomes]
+    some = list(by(sorted(tried, key=_touches), lambda one: one.condition).values())
+    truth = {one.name: one.truth for one in _conditions(options)}
+    lines = rows(some, QUANTITIES)
+    claims = {name: reliability(those) for name, those in by(tried, lambda one: one.condition.split(", ")[-1]).items()}
     title = "Levels in 90 % intervals where the number is right, and that number"
-    tables = [table(lines, QUANTITIES, title), _bins_table(conditions, bins)]
+    tables = [table(lines, QUANTITIES, title), _bins_table(claims)]
     tables.append(Table([("all", f"{seconds:.0f} s")], caption="Time"))
     found = {
         "seeds": [seeds.start, seeds.stop - 1],
@@ -489,24 +561,29 @@ def report(options: RegionCoverageConfig, seconds: float, tried: Sequence[Region
         "conditions": [
             row
             | {
-                "truth": condition.truth,
-                "reliability": [dataclasses.asdict(one) | {"holds": one.holds} for one in claims],
+                "truth": truth[row["condition"].split(", ")[0]],
+                "reliability": [dataclasses.asdict(one) | {"holds": one.holds} for one in reliability(those)],
             }
-            for condition, row, claims in zip(conditions, lines, bins, strict=True)
+            for row, those in zip(lines, some, strict=True)
         ],
-        "explorations": [one for outcomes in some for one in outcomes],
+        "explorations": tried,
         "seconds": seconds,
     }
     return StudyReport(tables, found)
 
 
-def _bins_table(conditions: Sequence[RegionCondition], bins: Sequence[Sequence[ReliabilityBin]]) -> Table:
+def _touches(one: RegionOutcome) -> int:
+    """Touches in the name of its condition; 0 without."""
+    return int(one.condition.split(", ")[1].split()[0]) if ", " in one.condition else 0
+
+
+def _bins_table(claims: Mapping[str, Sequence[ReliabilityBin]]) -> Table:
     lines = [
         (
-            *(condition.name, one.cases, f"{one.claimed:.3f}", f"{one.right / one.cases:.3f}"),
+            *(name, one.cases, f"{one.claimed:.3f}", f"{one.right / one.cases:.3f}"),
             *(f"{one.band[0]:.3f} to {one.band[1]:.3f}", "yes" if one.holds else "no"),
         )
-        for condition, some in zip(conditions, bins, strict=True)
+        for name, some in claims.items()
         for one in some
     ]
     names = ("truths", "explored", "claimed", "right", "90 % band", "holds the claim")

@@ -100,7 +100,7 @@ def test_truths_of_the_prior_are_as_often_of_each_kind() -> None:
 
 
 def test_an_exploration_of_a_known_surface_is_scored() -> None:
-    found = regions.explore_known(regions.RegionCase(regions.scattered(0.03), 0, touches=5))
+    (found,) = regions.explore_known(regions.RegionCase(regions.scattered(0.03), 0, touches=5))
     assert (found.true_count, found.count, found.touches) == (1, 1, 5)
     assert found.levels == 1
     assert found.claimed == found.probability["1"]
