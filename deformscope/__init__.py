@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from deformscope.library import recover as recover
     from deformscope.library import replay as replay
     from deformscope.library import report as report
+    from deformscope.library import simulate as simulate
     from deformscope.library import squeeze as squeeze
     from deformscope.library import sweep as sweep
     from deformscope.library import verify as verify
@@ -60,6 +61,7 @@ if TYPE_CHECKING:
     from deformscope.runs.recordings import RecordResult as RecordResult
     from deformscope.runs.replay_result import ReplayResult as ReplayResult
     from deformscope.runs.result import FoundResult as FoundResult
+    from deformscope.runs.simulation import SimulationResult as SimulationResult
     from deformscope.runs.squeeze_result import SqueezeResult as SqueezeResult
     from deformscope.runs.sweep import SweepResult as SweepResult
     from deformscope.runs.verification import VerifyResult as VerifyResult
@@ -74,13 +76,14 @@ _NAMES = {
     "library": "calibrate_axes calibrate_beta calibrate_both calibrate_field calibrate_theta "
     "calibrate_viscous calibrate_yield catalog certify classify compare_recordings discard "
     "explore export import_recording indent load_classifier open_dataset open_recording predict record "
-    "recover replay report squeeze sweep verify",
+    "recover replay report simulate squeeze sweep verify",
     "runs.calibration_result": "CalibrationResult",
     "runs.exploration_result": "ExplorationResult",
     "runs.indentation": "IndentResult",
     "runs.prediction": "PredictionResult",
     "runs.recordings": "ExportResult OpenDataset OpenRecording RecordResult",
     "runs.replay_result": "ReplayResult",
+    "runs.simulation": "SimulationResult",
     "runs.squeeze_result": "SqueezeResult",
     "runs.sweep": "SweepResult",
     "runs.result": "FoundResult",

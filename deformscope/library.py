@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from deformscope.runs.recordings import ExportResult, OpenDataset, OpenRecording, RecordResult
     from deformscope.runs.replay_result import ReplayResult
     from deformscope.runs.result import FoundResult
+    from deformscope.runs.simulation import SimulationResult
     from deformscope.runs.squeeze_result import SqueezeResult
     from deformscope.runs.sweep import SweepResult
     from deformscope.runs.verification import VerifyResult
@@ -213,6 +214,22 @@ def _floats(name: str, given: Sequence[float] | str, between: str) -> tuple[floa
         return tuple(float(one) for one in (given.split(between) if isinstance(given, str) else given))
     except (TypeError, ValueError):
         raise InputError(f"{name} as numbers, or as text with {between!r} between them", repr(given)) from None
+
+
+def simulate(
+    source: str | Path, *, out: Path | str, progress: Progress | bool | None = None, **options: object
+) -> "SimulationResult":
+    """Write a measured slab as a body of another simulator, and fit that simulator's parameters to the pokes.
+
+    source: a model file of layers, or the recording of an exploration; out: a folder; progress: as in `calibrate_beta`
+    options: the flags of `deformscope simulate` by their names (`deformscope.config.SimulateConfig`): target, against,
+    poke, tip, vertices, python... Raises InputError for what cannot be used, and TypeError for options that it has
+    not."""
+    from deformscope.config import SimulateConfig
+    from deformscope.runs.simulation import simulate as simulated
+
+    with _python_names(), shown_progress(progress) as note:
+        return simulated(_options(SimulateConfig, options, source=source, out=out), note)
 
 
 def indent(

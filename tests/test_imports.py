@@ -26,7 +26,7 @@ PACKAGES = {
 
 STAGES = tuple(
     f"stages.{name}"
-    for name in "gaussian_process msm see fit regions poke materials map squeeze setup".split()  # noqa: SIM905
+    for name in "gaussian_process msm see fit regions poke simulate materials map squeeze setup".split()  # noqa: SIM905
 )
 LAYERS: dict[str, tuple[str, ...]] = {
     "arrays": (),
@@ -57,6 +57,8 @@ LAYERS: dict[str, tuple[str, ...]] = {
     ),
     "stages.squeeze": ("arrays", "solid", "errors", "executor", "processes", "results", "stages.see"),
     "stages.setup": ("arrays", "errors"),
+    "stages.simulate": ("arrays", "errors", "stages.msm", "stages.fit", "stages.poke"),
+    "simulators": ("arrays", "errors", "processes", "stages.simulate"),
     "pictures": ("arrays", "errors", "images", "processes", "results", *STAGES),
     "log": ("arrays", "frames", "images", "pictures", "plain", "rows", *STAGES),
     "rig": ("errors", "file_io", "frames"),
@@ -103,6 +105,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
             "results",
             "rig",
             "robot",
+            "simulators",
         ),
         *("rows", "session", "terminal", "version", *STAGES),
     ),

@@ -62,6 +62,7 @@ COMMANDS: dict[str, Command] = {
         "relaxing share, relaxation time and permanent share, from a push and its release", "ViscousConfig", "materials"
     ),
     "predict": _command("predict pokes that were not fitted", "PredictConfig", "predict"),
+    "simulate": _command("a measured slab in another simulator, fitted there", "SimulateConfig", "simulate"),
     "indent": _command("find Young's modulus from force over depth", "IndentConfig", "indent"),
     "squeeze": _command(
         "squeeze a container: one trial, or the name of its content", "SqueezeConfig", "explore", "squeeze"

@@ -20,6 +20,8 @@ EXAMPLES: dict[str, str] = {
     "calibrate viscous": "deformscope calibrate viscous sample:press --picture viscous.png",
     "predict": "deformscope calibrate beta sample:poke --thickness-m 0.05 --save slab.npz\n"
     "deformscope predict slab.npz --poke 'at=0.28,0.2 tip=flat size=0.03x0.03 force=5' --picture dent.png",
+    "simulate": "deformscope calibrate beta sample:poke --thickness-m 0.05 --save slab.npz\n"
+    "deformscope simulate slab.npz --in mujoco --out slab --vertices 300 --poke 'at=0.28,0.2 depth=0.005'",
     "indent": "deformscope explore lab:homogeneous-60 --touches 1 --pace quick --beta-model none --record foam.rrd\n"
     "deformscope indent foam.rrd --tip sphere:0.02 --thickness-m 0.05 --bonded --poisson 0.3 --picture curves.png",
     "squeeze": "deformscope squeeze lab:containers --content rice --container box-01",

@@ -49,6 +49,7 @@ from deformscope.config.rigs import (
     VerifyConfig,
 )
 from deformscope.config.setup import CameraConfig, ForceConfig, PlaceConfig, SetupOptions, TimeConfig, TipConfig
+from deformscope.config.simulate import SimulateConfig
 from deformscope.config.squeeze import (
     DatasetConfig,
     DiscardConfig,

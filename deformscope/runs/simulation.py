@@ -1,0 +1,440 @@
+"""A measured slab in another simulator: written, pressed there, and its parameters fitted to the pokes."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from deformscope.arrays import FloatArray
+from deformscope.config.simulate import SimulateConfig
+from deformscope.errors import InputError
+from deformscope.file_io import make_folder, read_file
+from deformscope.files.model_file import load_model
+from deformscope.files.pairs import parse_pair
+from deformscope.log.layout import FINDINGS
+from deformscope.pictures.figures import MEASURED, SIMULATED, canvas, png_of
+from deformscope.pictures.report import ColoredBody, Figure, Findings, Table
+from deformscope.plain import Json, plain
+from deformscope.recording.items import read_results
+from deformscope.runs.prediction import poke_of
+from deformscope.runs.result import SourceResult, open_recorder
+from deformscope.session import Step
+from deformscope.simulators.body_files import write_body, write_meshes
+from deformscope.simulators.target_process import TRIED, TargetFailed, TargetProcess, target_process
+from deformscope.stages.map.exploration import SurfaceEstimate, TouchEstimate
+from deformscope.stages.msm.poke import Tip
+from deformscope.stages.msm.quiet import quiet_warp
+from deformscope.stages.poke.comparison import Score, predict_seen
+from deformscope.stages.poke.fitted import FittedModel, predict
+from deformscope.stages.poke.layers import MeasuredSurface
+from deformscope.stages.poke.poke_fit import SeenPoke, seen_poke
+from deformscope.stages.poke.tip_law import Indenter, TipLaw
+from deformscope.stages.simulate.slab_mesh import SlabMesh, slab_around
+from deformscope.stages.simulate.target_fit import (
+    NAMES,
+    MeasuredPoke,
+    Stopped,
+    TargetFit,
+    TargetParameters,
+    TargetPoke,
+    fit_target,
+    surface_moved,
+    target_score,
+)
+from deformscope.terminal import Progress, say, until_interrupted
+
+TARGET = "#2a9d4a"
+POISSON, CONTACT = 0.3, 1e5
+"""Start of the fit."""
+DEPTHS = (0.4, 0.7, 1.0)
+"""Shares of a touch's depth at which its force is compared."""
+SLOWER, STEPS_TRIED, STABLE = 2.0, 5, 0.05
+"""Longer time steps are tried until the force changes by more than this share."""
+MOST_POINTS = 4000
+LEVEL = 0.9
+"""Least upward part of a touch's normal."""
+
+
+@dataclass(frozen=True, slots=True)
+class PokeAnswer:
+    """A poke in the simulator. held_out: it was not fitted; before: errors with the measured modulus; msm: those of
+    shape matching, None without a model"""
+
+    poke: MeasuredPoke
+    answer: TargetPoke
+    held_out: bool
+    after: Score
+    before: Score
+    msm: Score | None
+    msm_moved: FloatArray | None
+
+    def as_json(self) -> Json:
+        seen = self.poke.seen
+        return {
+            "name": self.poke.name,
+            "at_m": seen.at,
+            "tip": seen.tip.shape,
+            "size_m": seen.tip.size,
+            "held_out": self.held_out,
+            "depth_m": self.poke.depth,
+            "force_n": self.poke.force,
+            "target_force_n": self.answer.force,
+            "penetration_m": self.answer.penetration,
+            "force_error": self.after.force_error,
+            "dent_error": self.after.surface_error,
+            "force_error_before": self.before.force_error,
+            "dent_error_before": self.before.surface_error,
+            "msm_force_error": self.msm and self.msm.force_error,
+            "msm_dent_error": self.msm and self.msm.surface_error,
+        }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SimulationResult(SourceResult):
+    """The body in the simulator. measured: modulus by the pokes' force [Pa] and Poisson's ratio that it was typed in
+    with; stable_s: longest time step tried that keeps the force, None = none; seconds: of the whole run"""
+
+    target: str
+    version: str
+    body: Path
+    mesh: SlabMesh
+    measured: TargetParameters
+    fit: TargetFit
+    pokes: tuple[PokeAnswer, ...]
+    stable_s: float | None
+    timestep_s: float
+    seconds: float
+
+    @property
+    def modulus_pa(self) -> float:
+        """The modulus that the simulator needs [Pa]."""
+        return self.fit.parameters.young
+
+    def error(self, kind: str, *, held_out: bool) -> float | None:
+        """Root mean square of force_error or surface_error over the fitted or the held out pokes; None without any."""
+        found = [getattr(one.after, kind) for one in self.pokes if one.held_out == held_out]
+        return float(np.sqrt(np.mean(np.square(found)))) if found else None
+
+    def as_json(self) -> Json:
+        steps = [one.answer.step_s for one in self.pokes]
+        found: Json = {
+            "target": self.target,
+            "version": self.version,
+            "tried_version": TRIED[self.target],
+            "body": self.body,
+            "vertices": len(self.mesh.vertices),
+            "cells": self.mesh.cells,
+            "measured": {"young_pa": self.measured.young, "poisson": self.measured.poisson},
+            "needed": {
+                "young_pa": self.modulus_pa,
+                "poisson": self.fit.parameters.poisson,
+                "contact_per_s2": self.fit.parameters.contact,
+            },
+            "deviation": dict(zip(("log_young", "poisson", "log_contact"), self.fit.deviation, strict=True)),
+            "determined": {name: self.fit.determined(name) for name in NAMES},
+            "converged": self.fit.converged,
+            "errors_by_run": self.fit.errors,
+            "fitted": {"force_error": self.error("force_error", held_out=False)}
+            | {"dent_error": self.error("surface_error", held_out=False)},
+            "held_out": {"force_error": self.error("force_error", held_out=True)}
+            | {"dent_error": self.error("surface_error", held_out=True)},
+            "penetration_m": max(float(one.answer.penetration.max()) for one in self.pokes),
+            "timestep_s": self.timestep_s,
+            "stable_timestep_s": self.stable_s,
+            "seconds_per_step": float(np.median(steps)),
+            "seconds": self.seconds,
+            "pokes": [one.as_json() for one in self.pokes],
+            "settings": self.settings,
+        }
+        return self.with_problems(found)
+
+    def tables(self) -> tuple[Table, ...]:
+        needed, found = self.fit.parameters, []
+        for name, text in (
+            ("young", f"{needed.young / 1e3:.4g} kPa, measured {self.measured.young / 1e3:.4g} kPa"),
+            ("poisson", f"{needed.poisson:.3g}"),
+            ("contact", f"{needed.contact:.3g} /s^2"),
+        ):
+            known = "" if self.fit.determined(name) else " (given)" if not self.fit.free[NAMES.index(name)] else ""
+            known = known or ("" if self.fit.determined(name) else " (not determined by these pokes)")
+            label = {"young": "modulus needed", "poisson": "Poisson's ratio", "contact": "stiffness of contact"}[name]
+            found.append((label, text + known))
+        deepest = max(self.pokes, key=lambda one: float(one.answer.penetration.max()))
+        inside = 1e3 * float(deepest.answer.penetration.max())
+        stable = "none" if self.stable_s is None else f"up to {1e3 * self.stable_s:.3g} ms"
+        found += [("penetration", f"{inside:.2g} mm of {1e3 * deepest.poke.seen.depth:.3g} mm")]
+        found += [("time step", f"{1e3 * self.timestep_s:.3g} ms; the force stays the same {stable}")]
+        found += [("seconds a step", f"{np.median([one.answer.step_s for one in self.pokes]):.2g}")]
+        found += [("converged", "yes" if self.fit.converged else "NO: stopped before")]
+        body = f"{self.body}, {len(self.mesh.vertices)} vertices"
+        rows = [
+            (
+                one.poke.name + (" (held out)" if one.held_out else ""),
+                f"{one.before.force_error or 0.0:+.1%}",
+                f"{one.after.force_error or 0.0:+.1%}",
+                f"{one.before.surface_error:.1%}",
+                f"{one.after.surface_error:.1%}",
+            )
+            for one in self.pokes
+        ]
+        names = ("poke", "force before", "force", "dent before", "dent")
+        return (
+            Table([*found, ("body", body), *self.source_rows()], caption=f"{self.target} {self.version}"),
+            Table(rows, names, "Errors, with the measured modulus and with the needed one, of force and of the depth"),
+        )
+
+    def figures(self) -> tuple[Figure, ...]:
+        return tuple(self._figure(one) for one in self.pokes)
+
+    def _figure(self, one: PokeAnswer) -> Figure:
+        figure = canvas(8.4, 3.4, layout="constrained")
+        left, right = figure.subplots(1, 2)
+        seen, poke = one.poke.seen, one.poke
+        left.plot(1e3 * poke.depth, poke.force, "x-", color=MEASURED, label="measured")
+        left.plot(1e3 * poke.depth, one.answer.force, "s--", ms=4, color=TARGET, label=self.target)
+        if one.msm is not None and one.msm.force is not None:
+            left.plot(1e3 * seen.depth, one.msm.force, "o", ms=4, color=SIMULATED, label="MSM")
+        left.set(xlabel="depth [mm]", ylabel="force [N]", xlim=(0.0, None), ylim=(0.0, None))
+        aside = np.abs(seen.points[:, 1] - seen.at[1])
+        near = np.flatnonzero(aside <= aside.min() + 0.25 * self.mesh.size[2] / self.mesh.cells[2])
+        near = near[np.argsort(seen.points[near, 0])]
+        along = 1e3 * (seen.points[near, 0] - seen.at[0])
+        moved = [(seen.moved, "x", MEASURED, "measured"), (one.msm_moved, "o", SIMULATED, "MSM")]
+        moved += [(surface_moved(self.mesh, poke, one.answer), "s", TARGET, self.target)]
+        for values, mark, colour, name in moved:
+            if values is not None:
+                right.plot(along, 1e3 * values[near, 2], mark, ms=4, color=colour, label=name)
+        right.set(xlabel="along x from the tip's axis [mm]", ylabel="height change [mm]")
+        for axes in (left, right):
+            axes.grid(alpha=0.3)
+            axes.legend(fontsize=8)
+        return Figure(png_of(figure, 120), f"{poke.name}: force over depth, and a cut through the dent")
+
+
+def simulate(config: SimulateConfig, progress: Progress | None = None) -> SimulationResult:
+    """Read the pokes, write the body, press and fit it, and record all of it. Raises InputError."""
+    began = time.monotonic()
+    quiet_warp()
+    model = None if config.tip is not None else load_model(config.source)
+    surface, pokes = _of_recording(config) if model is None else _of_model(model, config)
+    mesh = slab_around(surface, [one.seen for one in pokes], config.spacing_m, config.vertices)
+    test = _held_out(pokes, config.held_out)
+    fitted = [one for one in pokes if not any(one is other for other in test)]
+    start = TargetParameters(0.0, POISSON if config.poisson is None else config.poisson, CONTACT)
+    start = replace(start, young=_modulus(fitted, surface.thickness, start.poisson))
+    make_folder(config.out)
+    settings = {"command": "simulate", **cast("dict[str, object]", plain(config))}
+    with target_process(config.target, config.python) as target, until_interrupted() as asked:
+        if target.version != TRIED[config.target]:
+            say(f"{config.target} {target.version} was not tried with this program: {TRIED[config.target]} was")
+
+        def keep_on() -> bool:
+            return not asked.is_set() and time.monotonic() - began < config.limit_s
+
+        runs = _Runs(target, config, mesh, keep_on)
+        try:
+            first = runs.press(start, pokes)
+        except Stopped:
+            if asked.is_set():
+                raise KeyboardInterrupt from None
+            raise InputError("time for one run of all pokes", f"{config.limit_s:g} s", "a longer --limit-s") from None
+        free = (True, config.poisson is None, True)
+        cost = (time.monotonic() - began) * len(fitted) / len(pokes)
+        say(f"{len(mesh.vertices)} vertices: a run of all pokes takes some {cost:.0f} s, the fit 8 to 21 runs")
+        note = progress or (lambda what, done, total: None)
+        found = fit_target(mesh, fitted, runs.press, start, free, lambda done, total: note("runs", done, total))
+        last = runs.last(found.parameters, pokes, first)
+        stable = runs.stable_step(found.parameters, pokes, last)
+    body = write_body(config.out, config.target, mesh, found.parameters, config.density, config.timestep_s)
+    write_meshes(config.out, mesh, last[-1].moved, found.parameters)
+    answers = []
+    for poke, before, after in zip(pokes, first, last, strict=True):
+        msm_moved, msm = predict_seen(model, poke.seen)[1:] if model is not None else (None, None)
+        ours, typed = (target_score(mesh, poke, one, config.target) for one in (after, before))
+        answers.append(PokeAnswer(poke, after, any(one is poke for one in test), ours, typed, msm, msm_moved))
+    result = SimulationResult(
+        name=str(config.source),
+        settings=settings,
+        target=config.target,
+        version=target.version,
+        body=body,
+        mesh=mesh,
+        measured=start,
+        fit=found,
+        pokes=tuple(answers),
+        stable_s=stable,
+        timestep_s=config.timestep_s,
+        seconds=time.monotonic() - began,
+    )
+    with open_recorder(config.output, settings, FINDINGS.variant("simulate")) as recorder:
+        for number, (one, figure) in enumerate(zip(result.pokes, result.figures(), strict=True)):
+            moved_mm = 1e3 * np.linalg.norm(one.answer.moved, axis=1)
+            position = one.answer.rest + one.answer.moved
+            shown = ColoredBody(f"{config.target}: vertices by their displacement [mm]", position, moved_mm)
+            recorder.write(Step((Findings(result.tables(), (figure,), (shown,)),), frame=number))
+    return replace(result, recording=recorder.summary())
+
+
+class _Runs:
+    """Runs of the target: the body is written with given parameters, and pressed."""
+
+    def __init__(
+        self, target: TargetProcess, config: SimulateConfig, mesh: SlabMesh, keep_on: Callable[[], bool]
+    ) -> None:
+        self._target, self._config, self._mesh, self._keep_on = target, config, mesh, keep_on
+        self._body: Path | None = None
+        self._known: dict[tuple[TargetParameters, str], TargetPoke] = {}
+
+    def press(self, parameters: TargetParameters, pokes: Sequence[MeasuredPoke]) -> list[TargetPoke]:
+        """Raises Stopped where time or a person ended it, and InputError with the target's error."""
+        left = [one for one in pokes if (parameters, one.name) not in self._known]
+        try:
+            for poke, answer in zip(left, self._press(parameters, left, self._config.timestep_s), strict=True):
+                self._known[parameters, poke.name] = answer
+            return [self._known[parameters, one.name] for one in pokes]
+        except TargetFailed as error:
+            if not self._keep_on():
+                raise Stopped from None
+            came = f"{self._config.target} {self._target.version}: {error}"
+            hint = f"a shorter --timestep-s, or {self._config.target} {TRIED[self._config.target]}"
+            raise InputError("the target to press the body", came, hint) from None
+
+    def _press(
+        self, parameters: TargetParameters, pokes: Sequence[MeasuredPoke], timestep_s: float
+    ) -> list[TargetPoke]:
+        config = self._config
+        if not self._keep_on():
+            raise Stopped
+        if self._body is None:
+            self._body = write_body(
+                config.out, config.target, self._mesh, parameters, config.density, config.timestep_s
+            )
+        asked = [
+            {
+                "at_m": poke.seen.at[:2].tolist(),
+                "tip": poke.seen.tip.shape,
+                "size_m": list(poke.seen.tip.size),
+                "slips": poke.seen.tip.slips,
+                "depth_m": poke.depth.tolist(),
+            }
+            for poke in pokes
+        ]
+        request = {"do": "press", "asset": str(self._body.resolve()), "pokes": asked, "timestep_s": timestep_s}
+        request |= {"parameters": {name: getattr(parameters, name) for name in NAMES}}
+        return [
+            TargetPoke(
+                np.array(one["force_n"]),
+                np.array(one["penetration_m"]),
+                np.array(one["rest_m"]),
+                np.array(one["moved_m"]),
+                float(one["step_s"]),
+                float(one["unsettled"]),
+            )
+            for one in self._target.ask(request, self._keep_on)
+        ]
+
+    def last(
+        self, parameters: TargetParameters, pokes: Sequence[MeasuredPoke], first: list[TargetPoke]
+    ) -> list[TargetPoke]:
+        """All pokes with the fitted parameters; those of the first run where time is over."""
+        try:
+            return self.press(parameters, pokes)
+        except Stopped:
+            say("stopped: the answers are those of the measured modulus")
+            return first
+
+    def stable_step(
+        self, parameters: TargetParameters, pokes: Sequence[MeasuredPoke], last: Sequence[TargetPoke]
+    ) -> float | None:
+        """The longest time step, doubled again and again, with which the deepest poke's force stays; None = none."""
+        at = max(range(len(pokes)), key=lambda number: pokes[number].seen.depth)
+        found, step = None, self._config.timestep_s
+        try:
+            for _ in range(STEPS_TRIED):
+                force = self._press(parameters, [pokes[at]], step)[0].force[-1]
+                if abs(force / last[at].force[-1] - 1.0) > STABLE:
+                    break
+                found, step = step, SLOWER * step
+        except (TargetFailed, Stopped):
+            pass
+        return found
+
+
+def _held_out(pokes: Sequence[MeasuredPoke], asked: int | None) -> list[MeasuredPoke]:
+    """Pokes for the test, spread evenly."""
+    count = len(pokes) // 3 if asked is None else asked
+    if count >= len(pokes):
+        raise InputError("a poke to fit beside those held out", f"{len(pokes)} in all", f"--held-out {len(pokes) - 1}")
+    return [pokes[(2 * number + 1) * len(pokes) // (2 * count)] for number in range(count)]
+
+
+def _modulus(pokes: Sequence[MeasuredPoke], thickness: float, poisson: float) -> float:
+    """Young's modulus [Pa] of a bonded layer by the forces at the greatest depths."""
+    found = []
+    for poke in pokes:
+        law = TipLaw(Indenter(poke.seen.tip.shape, poke.seen.tip.size), poke.depth[-1], thickness, "bonded", poisson)
+        found.append(poke.force[-1] / float(law.response(poke.depth[-1])) * (1.0 - poisson**2))
+    return float(np.median(found))
+
+
+# Reading -------------------------------------------------------------------------------------------------------------
+
+
+def _of_model(model: FittedModel, config: SimulateConfig) -> tuple[MeasuredSurface, list[MeasuredPoke]]:
+    """The surface of a model of layers, and its measured or predicted pokes."""
+    if model.body != "layers" or model.thickness is None:
+        hint = "fit pokes of a surface with --thickness-m"
+        raise InputError("a model of layers below a surface", "one of particles", hint, config.source)
+    found = []
+    for path in config.against:
+        seen = seen_poke(parse_pair(read_file(path, "a pair file (.npz)"), path))
+        if not seen.force:
+            raise InputError("pokes with their force", "none", "force_n in the pair file", path)
+        found.append(_single(str(path), seen))
+    for text in config.poke:
+        made = predict(model, poke_of(text, model))
+        if made.force is None:
+            raise InputError("a model with a stiffness", "none", "fit it with force_n", config.source)
+        rest, moved = made.rest[made.surface], (made.position - made.rest)[made.surface]
+        tip, place = made.poke.tip, np.array([*made.poke.at[:2], rest[:, 2].max()])
+        found.append(_single(str(text), SeenPoke(place, tip, made.depth, rest, moved, rest, moved, None, made.force)))
+    return MeasuredSurface(model.rest, model.thickness), found
+
+
+def _single(name: str, seen: SeenPoke) -> MeasuredPoke:
+    """A poke at one depth: a ball's is deeper than the surface away from its axis."""
+    rise = seen.tip.rise(seen.touched[:, :2] - seen.at[:2])
+    if seen.tip.shape == "sphere" and np.isfinite(rise).any():
+        seen = replace(seen, depth=float(np.median((rise - seen.touched_by[:, 2])[np.isfinite(rise)])))
+    return MeasuredPoke(name, seen, np.array([seen.depth]), np.array([seen.force]))
+
+
+def _of_recording(config: SimulateConfig) -> tuple[MeasuredSurface, list[MeasuredPoke]]:
+    """The surface of a recorded exploration, and its touches of level foam."""
+    results = [row.item for row in read_results(config.source, (SurfaceEstimate, TouchEstimate))]
+    surfaces = [one for one in results if isinstance(one, SurfaceEstimate)]
+    touches = [one for one in results if isinstance(one, TouchEstimate) and one.usable and one.normal[2] > LEVEL]
+    if not surfaces or not touches or config.tip is None:
+        came = f"{len(surfaces)} surfaces and {len(touches)} touches"
+        raise InputError("a recording of an exploration", came, "deformscope explore ... --record", config.source)
+    known = [one.thickness_m for one in touches if one.thickness_m is not None]
+    thickness = config.thickness_m or surfaces[-1].layer_m or (float(np.median(known)) if known else None)
+    if thickness is None:
+        raise InputError("the foam's thickness", "none in the recording", "--thickness-m 0.05", config.source)
+    points = surfaces[-1].points_m
+    tip = Tip(cast("Any", config.tip.kind), config.tip.size)
+    found = []
+    for touch in touches:
+        depth = np.array(DEPTHS) * touch.depth_m
+        force = np.interp(depth, touch.approach_m - touch.contact_m, touch.fitted_n)
+        moved = np.zeros_like(touch.observed_m)
+        moved[:, 2] = touch.observed_m[:, 2] - touch.xyz_m[2]
+        rest = touch.observed_m - moved
+        seen = SeenPoke(touch.xyz_m, tip, touch.depth_m, rest, moved, rest, moved, None, float(force[-1]))
+        found.append(MeasuredPoke(f"touch {touch.number}", replace(seen, heights_only=True), depth, force))
+    level = float(np.median([one.xyz_m[2] for one in touches]))
+    flat = np.column_stack([points[:, :2], np.full(len(points), level)])[:: len(points) // MOST_POINTS + 1]
+    return MeasuredSurface(flat, thickness), found

@@ -1,0 +1,86 @@
+"""A body's files: for MuJoCo an MJCF with a flex, for Newton arrays, for others VTU and OBJ."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deformscope.arrays import FloatArray, IntArray
+from deformscope.stages.simulate.slab_mesh import SlabMesh
+from deformscope.stages.simulate.target_fit import TargetParameters
+
+RADIUS_M = 1e-4
+"""Radius of a flex: the tip stops this far before its vertices."""
+GRAVITY, RAYLEIGH_S = 9.81, 0.01
+IMPEDANCE = 0.9999
+"""MuJoCo's largest (mjMAXIMP): with less, a contact is soft however stiff its reference is."""
+NAMES = {"mujoco": "slab.xml", "newton": "slab.npz"}
+
+
+def write_body(
+    folder: Path, target: str, mesh: SlabMesh, found: TargetParameters, density: float, timestep_s: float
+) -> Path:
+    """Write the body with these parameters for a target; its main file. Existing files are replaced."""
+    path = folder / NAMES[target]
+    if target == "mujoco":
+        path.write_text(_mjcf(mesh, found, density, timestep_s), encoding="utf-8")
+    else:
+        fields: dict[str, Any] = {"vertices_m": mesh.vertices, "tetrahedra": mesh.elements, "fixed": mesh.bottom}
+        fields |= {name: np.array(getattr(found, name)) for name in ("young", "poisson", "contact")}
+        np.savez(path, **fields, density=np.array(density), timestep_s=np.array(timestep_s))
+    return path
+
+
+def write_meshes(folder: Path, mesh: SlabMesh, moved: FloatArray, found: TargetParameters) -> None:
+    """`slab.vtu` with modulus, Poisson's ratio and the displacement (n, 3) [m] of the last poke; `slab.obj` of its
+    surface at rest."""
+    (folder / "slab.vtu").write_text(_vtu(mesh, moved, found), encoding="utf-8")
+    lines = [f"v {_words(one)}" for one in mesh.vertices] + [f"f {_words(one + 1)}" for one in mesh.outside()]
+    (folder / "slab.obj").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _words(values: FloatArray | IntArray) -> str:
+    return " ".join(f"{one:.8g}" for one in values.ravel())
+
+
+def _mjcf(mesh: SlabMesh, found: TargetParameters, density: float, timestep_s: float) -> str:
+    """A flex whose cells are trilinear finite elements, of linear elasticity in their rotated frames: the law of the
+    measured modulus. `dof="full"` would be Saint Venant and Kirchhoff's law, which softens as it is pressed."""
+    x, y, z = mesh.cells
+    return f"""<mujoco model="slab">
+  <!-- The discrete integrator alone is implicit in the elasticity; implicit and implicitfast refuse it. -->
+  <option integrator="discrete" solver="CG" timestep="{timestep_s:g}" gravity="0 0 {-GRAVITY}"/>
+  <worldbody>
+    <flexcomp name="slab" type="direct" dim="3" dof="trilinear" cellcount="{x} {y} {z}" radius="{RADIUS_M:g}"
+              mass="{density * float(np.prod(mesh.size)):.8g}" rgba=".3 .7 .4 1"
+              point="{_words(mesh.vertices)}"
+              element="{_words(mesh.elements)}">
+      <elasticity young="{found.young:.6g}" poisson="{found.poisson:.6g}" damping="{RAYLEIGH_S}"/>
+      <contact selfcollide="none" condim="1" priority="1" solimp="{IMPEDANCE} {IMPEDANCE} .001"
+               solref="{-found.contact:.6g} {-2.0 * np.sqrt(found.contact):.6g}"/>
+      <pin gridrange="0 0 0 {x} {y} 0"/>
+    </flexcomp>
+  </worldbody>
+</mujoco>
+"""
+
+
+def _vtu(mesh: SlabMesh, moved: FloatArray, found: TargetParameters) -> str:
+    def array(name: str, kind: str, values: FloatArray | IntArray, parts: int = 1) -> str:
+        attributes = f'type="{kind}" Name="{name}" NumberOfComponents="{parts}" format="ascii"'
+        return f"<DataArray {attributes}>{_words(values)}</DataArray>"
+
+    count = len(mesh.elements)
+    cells = array("connectivity", "Int32", mesh.elements)
+    cells += array("offsets", "Int32", 4 * np.arange(1, count + 1)) + array("types", "UInt8", np.full(count, 10))
+    fields = "".join(
+        array(name, "Float64", np.full(count, value))
+        for name, value in (("young_pa", found.young), ("poisson", found.poisson))
+    )
+    return (
+        '<?xml version="1.0"?>\n<VTKFile type="UnstructuredGrid" version="0.1"><UnstructuredGrid>\n'
+        f'<Piece NumberOfPoints="{len(mesh.vertices)}" NumberOfCells="{count}">\n'
+        f"<Points>{array('points', 'Float64', mesh.vertices, 3)}</Points>\n<Cells>{cells}</Cells>\n"
+        f"<PointData>{array('displacement_m', 'Float64', moved, 3)}</PointData>\n<CellData>{fields}</CellData>\n"
+        "</Piece></UnstructuredGrid></VTKFile>\n"
+    )

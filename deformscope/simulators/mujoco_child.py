@@ -1,0 +1,121 @@
+"""Presses a slab in MuJoCo: a process of its own, which needs mujoco and numpy alone.
+
+    python mujoco_child.py < requests > replies        one JSON object a line
+
+    {"do": "version"}  ->  {"version": "4.0.0"}
+    {"do": "press", "asset": "slab.xml", "parameters": {"young", "poisson", "contact"}, "timestep_s", "pokes":
+      [{"at_m": [x, y], "tip": "sphere" | "disc" | "flat", "size_m": [...], "slips": true, "depth_m": [...]}]}
+      ->  a line for each poke: {"force_n": [...], "penetration_m": [...], "rest_m": [[x, y, z]...], "moved_m": [...],
+          "step_s": seconds a step, "unsettled": relative change of the last force}
+
+or {"error": "one line"}. A tip is a mocap body that sinks into the slab step by step; the force is that of its contacts
+along z, when it no longer changes; `moved_m` are the vertices under the deepest poke less those at rest, which lie as
+gravity leaves them."""
+
+import json
+import os
+import sys
+import time
+from collections.abc import Iterator
+from typing import Any
+
+RAMP, LONGEST, AVERAGED = 12, 80, 6
+"""Steps in which the tip goes from one depth to the next; most steps until the force no longer changes; steps that are
+averaged."""
+STILL = 1e-3
+"""Relative change between averaged forces below which the force no longer changes."""
+
+
+def scene(mujoco: Any, asked: dict[str, Any], poke: dict[str, Any]) -> tuple[Any, Any, float]:
+    """Model and data of the slab with these parameters and the tip, and the height of the tip's middle over a surface
+    that it touches [m]."""
+    spec, given = mujoco.MjSpec.from_file(asked["asset"]), asked["parameters"]
+    flex, shape, half = spec.flexes[0], poke["tip"], [0.5 * one for one in poke["size_m"]]
+    flex.young, flex.poisson = given["young"], given["poisson"]
+    flex.solref = [-given["contact"], -2.0 * given["contact"] ** 0.5]
+    flex.condim, flex.friction = (1, [0.0] * 3) if poke["slips"] else (3, [10.0, 0.005, 0.0001])
+    spec.option.timestep = asked["timestep_s"]
+    kind, size = {
+        "sphere": (mujoco.mjtGeom.mjGEOM_SPHERE, [half[0], 0.0, 0.0]),
+        "disc": (mujoco.mjtGeom.mjGEOM_CYLINDER, [half[0], half[0], 0.0]),
+        "flat": (mujoco.mjtGeom.mjGEOM_BOX, [half[0], half[-1], half[0]]),
+    }[shape]
+    spec.worldbody.add_body(name="tip", mocap=True, pos=[*poke["at_m"], 1.0]).add_geom(
+        type=kind, size=size, condim=flex.condim
+    )
+    model = spec.compile()
+    return model, mujoco.MjData(model), half[0] + float(flex.radius)
+
+
+def press(asked: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Replies to a request to press, poke by poke."""
+    import mujoco
+    import numpy as np
+
+    def step() -> tuple[float, float]:
+        """Force along z [N] and penetration [m] after a step."""
+        mujoco.mj_step(model, data)
+        if not np.isfinite(data.qpos).all() or data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:
+            raise ArithmeticError(f"the slab is not stable with steps of {asked['timestep_s']:g} s")
+        force, inside, wrench = 0.0, 0.0, np.zeros(6)
+        for number, contact in enumerate(data.contact):
+            mujoco.mj_contactForce(model, data, number, wrench)
+            force += abs(float(wrench[:3] @ contact.frame.reshape(3, 3)[:, 2]))
+            inside = max(inside, -float(contact.dist))
+        return force, inside
+
+    for poke in asked["pokes"]:
+        model, data, above = scene(mujoco, asked, poke)
+        for _ in range(RAMP):  # under its own weight
+            step()
+        rest = data.flexvert_xpos.copy()
+        aside = np.linalg.norm(rest[:, :2] - poke["at_m"], axis=1)
+        touching = float(rest[aside <= aside.min() + 1e-6, 2].max()) + above
+        forces, depths, now, at, steps, change = [], [], np.zeros(2), 0.0, 0, 0.0
+        began = time.perf_counter()
+        for depth in poke["depth_m"]:
+            found: list[tuple[float, float]] = []
+            while len(found) < RAMP + LONGEST:
+                sunk = at + (depth - at) * min(1.0, (len(found) + 1) / RAMP)
+                data.mocap_pos[0] = [*poke["at_m"], touching - sunk]
+                found.append(step())
+                now, before = (np.mean(found[-AVERAGED * n :][:AVERAGED], axis=0) for n in (1, 2))
+                change = float(abs(now[0] - before[0]) / max(now[0], 1e-12))
+                if len(found) >= RAMP + 2 * AVERAGED and change <= STILL:
+                    break
+            forces.append(float(now[0]))
+            depths.append(float(now[1]))
+            at, steps = depth, steps + len(found)
+        yield {
+            "force_n": forces,
+            "penetration_m": depths,
+            "rest_m": rest.tolist(),
+            "moved_m": (data.flexvert_xpos - rest).tolist(),
+            "step_s": (time.perf_counter() - began) / steps,
+            "unsettled": change,
+        }
+
+
+def version(asked: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """The target's version."""
+    import mujoco
+
+    yield {"version": mujoco.__version__}
+
+
+def main() -> None:
+    """Answer each line; libraries that print on stdout do so on stderr."""
+    replies = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)
+    for line in sys.stdin:
+        asked = json.loads(line)
+        try:
+            for reply in {"press": press, "version": version}[asked["do"]](asked):
+                print(json.dumps(reply), file=replies, flush=True)
+        except Exception as error:
+            said = " ".join(f"{type(error).__name__}: {error}".split())[:400]
+            print(json.dumps({"error": said}), file=replies, flush=True)
+
+
+if __name__ == "__main__":
+    main()

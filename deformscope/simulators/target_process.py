@@ -1,0 +1,110 @@
+"""A simulator's process: one line of JSON asks, lines of JSON answer; none of it needs the simulator here."""
+
+import contextlib
+import json
+import os
+import queue
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+from deformscope.errors import InputError
+from deformscope.processes import BLAS_THREADS, END_S, RENEW_S
+
+TRIED = {"mujoco": "4.0.0", "newton": "1.8.0"}
+"""The version of each target with which it was tried."""
+
+
+class TargetFailed(Exception):
+    """The target's own error, in one line."""
+
+
+class TargetProcess:
+    """A target in a process of its own. python: its interpreter, None = this one. Raises InputError where it does not
+    start, or does not find the target."""
+
+    def __init__(self, target: str, python: Path | None = None) -> None:
+        self.target, self._python = target, str(python or sys.executable)
+        script = Path(__file__).with_name(f"{target}_child.py")
+        self._said = tempfile.TemporaryFile()  # noqa: SIM115  # closed with the process
+        env = os.environ | dict.fromkeys(BLAS_THREADS, "1")
+        pipe = subprocess.PIPE
+        try:
+            self._process = subprocess.Popen(
+                [self._python, "-I", str(script)],
+                stdin=pipe,
+                stdout=pipe,
+                stderr=self._said,
+                env=env,
+                text=True,
+                start_new_session=True,  # a Ctrl-C is this process's
+            )
+        except OSError as error:
+            self._said.close()
+            raise InputError("a Python interpreter after --python", error.strerror or "none", where=python) from None
+        self._lines: queue.Queue[str | None] = queue.Queue()
+        threading.Thread(target=self._read, name=target, daemon=True).start()
+        try:
+            self.version = str(next(self.ask({"do": "version"}))["version"])
+        except TargetFailed as error:
+            self.close()
+            hint = f"pip install {target}=={TRIED[target]} there, or --python"
+            raise InputError(f"{target} in {self._python}", str(error), hint) from None
+
+    def ask(self, request: dict[str, object], keep_on: Callable[[], bool] = lambda: True) -> Iterator[dict[str, Any]]:
+        """The answers to a request, as they come. keep_on: asked while none comes; without it the process is ended.
+        Raises TargetFailed with the target's error."""
+        assert self._process.stdin is not None
+        with contextlib.suppress(OSError):  # what it said is below
+            self._process.stdin.write(json.dumps(request) + "\n")
+            self._process.stdin.flush()
+        for _ in cast("Sequence[object]", request.get("pokes", (None,))):
+            if (line := self._next(keep_on)) is None:
+                self._process.wait(END_S)
+                self._said.seek(0)
+                last = self._said.read().decode(errors="replace").strip().splitlines() or ["no message"]
+                raise TargetFailed(f"ended with status {self._process.returncode}: {last[-1]}")
+            try:
+                found = json.loads(line)
+            except ValueError:
+                raise TargetFailed(f"no JSON: {line.strip()[:80]}") from None
+            if "error" in found:
+                raise TargetFailed(found["error"])
+            yield found
+
+    def _next(self, keep_on: Callable[[], bool]) -> str | None:
+        while True:
+            try:
+                return self._lines.get(timeout=RENEW_S)
+            except queue.Empty:
+                if not keep_on():
+                    self.close()
+                    raise TargetFailed("stopped") from None
+
+    def close(self) -> None:
+        """End the process."""
+        self._process.kill()
+        self._process.wait()
+        for pipe in (self._process.stdin, self._process.stdout, self._said):
+            with contextlib.suppress(OSError, ValueError):
+                pipe and pipe.close()
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            self._lines.put(line)
+        self._lines.put(None)
+
+
+@contextlib.contextmanager
+def target_process(target: str, python: Path | None) -> Iterator[TargetProcess]:
+    """Such a process, ended at the end of the context."""
+    process = TargetProcess(target, python)
+    try:
+        yield process
+    finally:
+        process.close()

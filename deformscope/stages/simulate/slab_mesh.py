@@ -1,0 +1,123 @@
+"""The slab below measured pokes as a mesh of tetrahedra, six in each cell of a regular grid."""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import RegularGridInterpolator
+from scipy.spatial import cKDTree
+
+from deformscope.arrays import FloatArray, IntArray
+from deformscope.errors import InputError
+from deformscope.stages.poke.layers import MeasuredSurface
+from deformscope.stages.poke.poke_fit import SeenPoke
+
+REACH_SHARE, REACH_TIPS = 1.1, 0.25
+"""The slab goes this many thicknesses, and tip sizes, beyond the pokes: there the surface is quiet."""
+FEWEST_LAYERS, MOST_VERTICES = 3, 20_000
+HOLE_SPACINGS = 3.0
+"""A place of the slab this many spacings from all points of the surface is a hole in it."""
+
+
+@dataclass(frozen=True, slots=True)
+class SlabMesh:
+    """A slab of tetrahedra, glued to the ground, in the frame of its surface; up is +z.
+
+    axes: coordinates of the grid along x, y, z [m]; vertices: (n, 3), last axis fastest [m]; elements: (m, 4) vertices
+    of each tetrahedron, of positive volume"""
+
+    axes: tuple[FloatArray, FloatArray, FloatArray]
+    vertices: FloatArray
+    elements: IntArray
+
+    @property
+    def cells(self) -> tuple[int, int, int]:
+        """Cells along x, y, z."""
+        x, y, z = (len(axis) - 1 for axis in self.axes)
+        return x, y, z
+
+    @property
+    def bottom(self) -> IntArray:
+        """(b,) the glued vertices."""
+        return np.flatnonzero(self.vertices[:, 2] <= self.axes[2][0])
+
+    @property
+    def size(self) -> FloatArray:
+        """(3,) its sides [m]."""
+        return np.array([axis[-1] - axis[0] for axis in self.axes])
+
+    def outside(self) -> IntArray:
+        """(f, 3) triangles of its surface, counterclockwise from outside."""
+        faces = self.elements[:, [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]].reshape(-1, 3)
+        _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+        return np.asarray(faces[np.sort(first[count == 1])])
+
+    def at_surface(self, values: FloatArray, places: FloatArray) -> FloatArray:
+        """Values (p, 3) at places (p, 2) of its upper face, between those (n, 3) at its vertices; beyond it 0."""
+        upper = values.reshape(*(len(axis) for axis in self.axes), -1)[:, :, -1]
+        between = RegularGridInterpolator(self.axes[:2], upper, bounds_error=False, fill_value=0.0)
+        return np.asarray(between(places))
+
+
+def slab_mesh(axes: tuple[FloatArray, FloatArray, FloatArray]) -> SlabMesh:
+    """The mesh of a grid; neighbouring cells are mirrored, so that it has no preferred diagonal."""
+    shape = np.array([len(axis) for axis in axes])
+    vertices = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    low = np.stack(np.meshgrid(*(np.arange(n - 1) for n in shape), indexing="ij"), axis=-1).reshape(-1, 3)
+    step = np.array([shape[1] * shape[2], shape[2], 1])
+    elements = []
+    for order in itertools.permutations(range(3)):
+        corner, tetrahedron = np.zeros_like(low), []
+        for axis in (None, *order):
+            if axis is not None:
+                corner[:, axis] = 1
+            tetrahedron.append((low + (corner ^ (low & 1))) @ step)
+        elements.append(np.stack(tetrahedron, axis=1))
+    every = np.concatenate(elements)
+    edges = vertices[every[:, 1:]] - vertices[every[:, :1]]
+    turned = np.linalg.det(edges) < 0.0
+    every[turned] = every[turned][:, [0, 1, 3, 2]]
+    return SlabMesh(axes, vertices, every)
+
+
+def slab_around(surface: MeasuredSurface, pokes: Sequence[SeenPoke], spacing: float | None, vertices: int) -> SlabMesh:
+    """The part of a flat slab around pokes, as far as it moves.
+
+    spacing: size of its cells [m], None = so that it has about this number of vertices. Raises InputError for a poke
+    outside the surface, for a surface with a hole, and for more vertices than a simulator takes."""
+    for poke in pokes:
+        corners = poke.at[:2] + poke.tip.half * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
+        if not surface.covers(np.vstack([poke.at[None, :2], corners])).all():
+            low, high = surface.points[:, :2].min(axis=0), surface.points[:, :2].max(axis=0)
+            span = f"x {low[0]:.3g} to {high[0]:.3g} m, y {low[1]:.3g} to {high[1]:.3g} m"
+            raise InputError(f"pokes on the surface, {span}", f"one at ({poke.at[0]:.3g}, {poke.at[1]:.3g}) m")
+    reach = [poke.tip.half + REACH_SHARE * surface.thickness + REACH_TIPS * poke.tip.width for poke in pokes]
+    places = np.stack([poke.at[:2] for poke in pokes])
+    low = np.maximum((places - reach).min(axis=0), surface.points[:, :2].min(axis=0))
+    high = np.minimum((places + reach).max(axis=0), surface.points[:, :2].max(axis=0))
+    top = float(np.median(surface.points[:, 2]))
+    sides = np.array([*(high - low), surface.thickness])
+    fine = spacing or _spacing(sides, vertices)
+    count = [max(2, round(side / fine)) for side in sides[:2]]
+    layers = max(FEWEST_LAYERS, round(surface.thickness / fine))
+    total = (count[0] + 1) * (count[1] + 1) * (layers + 1)
+    if total > MOST_VERTICES:
+        raise InputError(f"at most {MOST_VERTICES} vertices", f"{total}", "a larger --spacing-m")
+    x, y = (np.linspace(low[i], high[i], count[i] + 1) for i in (0, 1))
+    upper = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    away, _ = cKDTree(surface.points[:, :2]).query(upper)
+    if (hole := int(np.argmax(away))) >= 0 and away[hole] > max(HOLE_SPACINGS * surface.spacing, fine):
+        came = f"no points within {1e3 * away[hole]:.3g} mm of ({upper[hole, 0]:.3g}, {upper[hole, 1]:.3g}) m"
+        raise InputError("a surface without a hole around the pokes", came, "pokes away from it")
+    return slab_mesh((x, y, np.linspace(top - surface.thickness, top, layers + 1)))
+
+
+def _spacing(sides: FloatArray, vertices: int) -> float:
+    """Size of the cells of a box with sides (3,) that has about this number of vertices [m]."""
+    fine, coarse = 1e-3 * float(sides.min()), float(sides.max())
+    for _ in range(50):
+        middle = float(np.sqrt(fine * coarse))
+        many = np.prod(np.maximum(sides / middle, [2, 2, FEWEST_LAYERS]) + 1.0) > vertices
+        fine, coarse = (middle, coarse) if many else (fine, middle)
+    return coarse

@@ -1,0 +1,220 @@
+"""The parameters with which another simulator repeats measured pokes: modulus, Poisson's ratio, stiffness of contact.
+
+Gauss-Newton steps with finite differences over few runs: force is nearly proportional to the modulus. Forces, the
+dented surface and, weakly, the tip's penetration into the body are compared; whether the pokes determine a parameter
+follows from the derivatives of force and surface, and from what is left of them."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.stages.fit.least_squares import Noise
+from deformscope.stages.poke.comparison import Score, score_of
+from deformscope.stages.poke.poke_fit import SeenPoke
+from deformscope.stages.simulate.slab_mesh import SlabMesh
+
+FORCE_SD, DENT_SD, PENETRATION = 0.02, 0.03, 0.1
+"""Standard deviations of a force, relative, and of the surface, as a share of the depth; a penetration, as a share of
+the depth, that counts as one standard deviation: it should be small."""
+NEAR_SHARE = 0.6
+"""The surface within this many thicknesses of the tip is compared."""
+STEPS = np.array([0.1, -0.04, 0.5])
+"""Steps of log modulus, Poisson's ratio, log stiffness of contact for the derivatives: above the simulator's noise."""
+LONGEST = np.array([1.5, 0.1, 2.0])
+MOST_ROUNDS, SETTLED = 5, 0.02
+DETERMINED = np.array([0.1, 0.05, 0.7])
+"""Standard deviations up to which a parameter is determined."""
+
+
+class Stopped(Exception):
+    """A run of the simulator was given up, for the time limit or a person."""
+
+
+@dataclass(frozen=True, slots=True)
+class TargetParameters:
+    """young: Young's modulus [Pa]; poisson: Poisson's ratio; contact: stiffness of contact per mass [1/s^2]."""
+
+    young: float
+    poisson: float
+    contact: float
+
+    @property
+    def vector(self) -> FloatArray:
+        """(3,) as they are fitted."""
+        return np.array([np.log(self.young), self.poisson, np.log(self.contact)])
+
+    @classmethod
+    def of(cls, vector: FloatArray) -> "TargetParameters":
+        """The inverse of `vector`."""
+        return cls(float(np.exp(vector[0])), float(vector[1]), float(np.exp(vector[2])))
+
+
+NAMES = ("young", "poisson", "contact")
+LOWEST = TargetParameters(10.0, 0.0, 1e3)
+HIGHEST = TargetParameters(1e9, 0.49, 1e8)
+
+
+@dataclass(frozen=True)
+class MeasuredPoke:
+    """A measured poke. name; seen: its place, tip, and surface at the greatest depth; depth, force: (n,) of the tip, at
+    one or more rising depths [m, N]"""
+
+    name: str
+    seen: SeenPoke
+    depth: FloatArray
+    force: FloatArray
+
+
+@dataclass(frozen=True)
+class TargetPoke:
+    """The simulator's answer. force: (n,) [N] and penetration: (n,) [m] at the depths; rest, moved: (k, 3) vertices and
+    their displacement at the greatest depth [m]; step_s: seconds that a step took; unsettled: relative change of the
+    last force"""
+
+    force: FloatArray
+    penetration: FloatArray
+    rest: FloatArray
+    moved: FloatArray
+    step_s: float = 0.0
+    unsettled: float = 0.0
+
+
+Press = Callable[[TargetParameters, Sequence[MeasuredPoke]], list[TargetPoke]]
+
+
+@dataclass(frozen=True)
+class TargetFit:
+    """The fit. deviation: (3,) standard deviations of the vector's entries; free: those that were fitted; errors: (r,)
+    root mean square of the weighted residuals after each run that was better; converged: the steps became small"""
+
+    parameters: TargetParameters
+    deviation: FloatArray
+    free: tuple[bool, bool, bool]
+    errors: tuple[float, ...]
+    converged: bool
+    answers: list[TargetPoke] = field(default_factory=list)
+
+    def determined(self, name: str) -> bool:
+        """Whether the pokes determine a parameter."""
+        at = NAMES.index(name)
+        return bool(self.free[at] and self.deviation[at] <= DETERMINED[at])
+
+
+def surface_moved(mesh: SlabMesh, poke: MeasuredPoke, answer: TargetPoke) -> FloatArray:
+    """Displacement (n, 3) of the measured points in the simulator [m]; heights alone, where a camera sees no other."""
+    moved = mesh.at_surface(answer.moved, poke.seen.points[:, :2])
+    if poke.seen.heights_only:
+        moved = mesh.at_surface(answer.moved, poke.seen.points[:, :2] - moved[:, :2]) * [0.0, 0.0, 1.0]
+    return moved
+
+
+def target_score(mesh: SlabMesh, poke: MeasuredPoke, answer: TargetPoke, method: str) -> Score:
+    """Errors on one poke: of the surface, and the largest of the forces."""
+    found = score_of(method, poke.seen, surface_moved(mesh, poke, answer), float(answer.force[-1]))
+    off = answer.force / poke.force - 1.0
+    return replace(found, force_error=float(off[np.abs(off).argmax()]))
+
+
+def fit_target(
+    mesh: SlabMesh,
+    pokes: Sequence[MeasuredPoke],
+    press: Press,
+    start: TargetParameters,
+    free: tuple[bool, bool, bool],
+    note: Callable[[int, int], None] = lambda done, total: None,
+) -> TargetFit:
+    """The parameters with the least squares, from `start`. free: which of them are fitted; note: called with the runs
+    done and the most. `press` may raise `Stopped`: then the best so far is the result."""
+    open_ = np.flatnonzero(free)
+    low, high = LOWEST.vector, HIGHEST.vector
+    at, deviation = start.vector, np.full(3, np.inf)
+    total, done = MOST_ROUNDS * (len(open_) + 1) + 1, 0
+    near = [_near(poke.seen, mesh.size[2]) for poke in pokes]
+    errors: list[float] = []
+
+    def run(vector: FloatArray) -> _Run:
+        nonlocal done
+        answers = press(TargetParameters.of(vector), pokes)
+        done += 1
+        note(done, total)
+        return _Run(answers, *_residuals(mesh, pokes, near, answers))
+
+    best = run(at)
+    errors.append(best.rms)
+    converged, damping = False, 1e-3
+    try:
+        for _ in range(MOST_ROUNDS):
+            ahead = np.where((at + STEPS > high) | (at + STEPS < low), -STEPS, STEPS)
+            slopes = [(run(at + ahead * (np.arange(3) == one)).every - best.every) / ahead[one] for one in open_]
+            jacobian = np.stack(slopes, axis=1)
+            deviation = _deviation(jacobian, best, open_, len(pokes))
+            square = jacobian.T @ jacobian
+            step = np.zeros(3)
+            lifted = square + np.diag(damping * np.diag(square) + 1e-9)
+            step[open_] = -np.linalg.solve(lifted, jacobian.T @ best.every)
+            trial = np.clip(at + np.clip(step, -LONGEST, LONGEST), low, high)
+            tried = run(trial)
+            if tried.rms >= best.rms:
+                damping *= 30.0
+                if converged := damping > 1.0:
+                    break
+                continue
+            converged = bool((np.abs(trial - at) <= SETTLED * np.array([1.0, 0.5, 10.0])).all())
+            at, best, damping = trial, tried, 0.3 * damping
+            errors.append(best.rms)
+            if converged:
+                break
+    except Stopped:
+        pass
+    return TargetFit(TargetParameters.of(at), deviation, free, tuple(errors), converged, best.answers)
+
+
+@dataclass(frozen=True)
+class _Run:
+    """The answers, and what they differ by in standard deviations: forces, surfaces, penetrations."""
+
+    answers: list[TargetPoke]
+    force: FloatArray
+    dent: FloatArray
+    inside: FloatArray
+
+    @property
+    def every(self) -> FloatArray:
+        return np.concatenate([self.force, self.dent, self.inside])
+
+    @property
+    def rms(self) -> float:
+        return float(np.sqrt(np.mean(self.every**2)))
+
+
+def _near(seen: SeenPoke, thickness: float) -> BoolArray:
+    """(n,) points that are compared, by their distance from the tip."""
+    away = np.linalg.norm(np.maximum(np.abs(seen.points[:, :2] - seen.at[:2]) - seen.tip.half, 0.0), axis=1)
+    return np.asarray(away <= NEAR_SHARE * thickness)
+
+
+def _residuals(
+    mesh: SlabMesh, pokes: Sequence[MeasuredPoke], near: Sequence[BoolArray], answers: Sequence[TargetPoke]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Differences of forces and surfaces, and penetrations, in standard deviations; all pokes count equally."""
+    forces, dents, inside = [], [], []
+    for poke, used, answer in zip(pokes, near, answers, strict=True):
+        force = np.log(np.maximum(answer.force, 1e-6 * poke.force) / poke.force) / FORCE_SD
+        off = (surface_moved(mesh, poke, answer) - poke.seen.moved)[used] / (DENT_SD * poke.seen.depth)
+        forces.append(force / np.sqrt(len(force)))
+        dents.append(off.ravel() / np.sqrt(max(len(off), 1)))
+        inside.append(answer.penetration / (PENETRATION * poke.depth) / np.sqrt(len(poke.depth)))
+    return np.concatenate(forces), np.concatenate(dents), np.concatenate(inside)
+
+
+def _deviation(jacobian: FloatArray, best: _Run, open_: IntArray, pokes: int) -> FloatArray:
+    """(3,) standard deviations by what is left of forces and of surfaces, each at least as stated; infinite where
+    nothing was fitted. A poke's force is one number, and its surface, whose points err together, another."""
+    noise = [max(1.0, float(np.sqrt(one @ one / max(pokes - 1, 1)))) for one in (best.force, best.dent)]
+    sd = np.repeat(noise, [len(best.force), len(best.dent)])
+    found = np.full(3, np.inf)
+    known = jacobian[: len(sd)] / sd[:, None]
+    found[open_] = np.sqrt(np.diag(Noise(1.0, np.zeros((0, len(sd)))).covariance(known)))
+    return found

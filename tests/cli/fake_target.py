@@ -1,0 +1,57 @@
+"""Stands in for a simulator's process: a slab that answers as a spring, proportional to its modulus.
+
+FAKE_TARGET says how it misbehaves: missing, crash, garbage, error, hang."""
+
+import json
+import os
+import sys
+import time
+from pathlib import Path
+
+HOW = os.environ.get("FAKE_TARGET", "")
+SOFTER = 0.8
+"""Share of its typed modulus with which it answers, as simulators do."""
+
+
+def main() -> None:
+    for line in sys.stdin:
+        asked = json.loads(line)
+        if asked["do"] == "version":
+            print(json.dumps({"error": "no module"} if HOW == "missing" else {"version": "0.0.1"}), flush=True)
+            continue
+        if HOW == "crash":
+            print("it ran out of memory", file=sys.stderr)
+            sys.exit(7)
+        if HOW == "hang":
+            time.sleep(600.0)
+        if HOW == "garbage":
+            print("not JSON", flush=True)
+        if HOW == "error":
+            print(json.dumps({"error": "ValueError: unknown attribute 'dof'"}), flush=True)
+        given = asked["parameters"]
+        for poke in asked["pokes"] if not HOW else ():
+            area = poke["size_m"][0] * poke["size_m"][-1]
+            force = [SOFTER * given["young"] * area / 0.03 * depth for depth in poke["depth_m"]]
+            rest = vertices_of(asked["asset"])
+            moved = [[0.0, 0.0, -poke["depth_m"][-1] * (abs(x - poke["at_m"][0]) < 0.01)] for x, _, _ in rest]
+            print(
+                json.dumps(
+                    {
+                        "force_n": force,
+                        "penetration_m": [0.0] * len(force),
+                        "rest_m": rest,
+                        "moved_m": moved,
+                        "step_s": 0.001,
+                        "unsettled": 0.0,
+                    }
+                ),
+                flush=True,
+            )
+
+
+def vertices_of(asset: str) -> list[list[float]]:
+    text = Path(asset).read_text(encoding="utf-8").split('point="')[1].split('"')[0].split()
+    return [[float(one) for one in text[at : at + 3]] for at in range(0, len(text), 3)]
+
+
+main()

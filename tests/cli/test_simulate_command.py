@@ -1,0 +1,156 @@
+"""`deformscope simulate`, as a user runs it: with a stand-in for the simulator, and with MuJoCo where there is one."""
+
+import json
+import os
+import shlex
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import deformscope as ds
+from deformscope.cli import main
+from tests.cases import Capture, Patch
+from tests.stages.pokes import SPACING, THICKNESS, poked
+
+STAND_IN = Path(__file__).with_name("fake_target.py")
+WITH_TARGETS = os.environ.get("DEFORMSCOPE_TARGETS_PYTHON", sys.executable)
+"""An interpreter that may have MuJoCo."""
+QUIET = ("--viewer", "none")
+
+
+def has(name: str) -> bool:
+    return not subprocess.run([WITH_TARGETS, "-c", f"import {name}"], capture_output=True, check=False).returncode
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four pokes, a model fitted to the first, and an interpreter that runs the stand-in."""
+    made = tmp_path_factory.mktemp("simulated")
+    for number, (at, depth) in enumerate((((0.09, 0.08), 2e-3), ((0.10, 0.08), 1e-3), ((0.08, 0.07), 3e-3))):
+        seen = poked(at=at, depth=depth)
+        arrays = {"rest": seen.rest, "deformed": seen.deformed, "held": seen.held, "contact": seen.contact}
+        np.savez(made / f"poke{number}.npz", **arrays, force_n=seen.force_n)  # type: ignore[arg-type]
+        np.savez(made / f"noforce{number}.npz", **arrays)  # type: ignore[arg-type]
+    flags = ["--thickness-m", str(THICKNESS), "--spacing-m", str(SPACING), "--cluster-size", "3", *QUIET]
+    assert main(["calibrate", "beta", str(made / "poke0.npz"), *flags, "--save", str(made / "model.npz")]) == 0
+    script = made / "python"
+    script.write_text(f"#!/bin/sh\nexec {shlex.quote(sys.executable)} {shlex.quote(str(STAND_IN))}\n")
+    script.chmod(0o755)
+    return made
+
+
+def command(folder: Path, *more: str, out: str = "body") -> list[str]:
+    pokes = [str(folder / f"poke{number}.npz") for number in range(3)]
+    flags = ["--in", "mujoco", "--python", str(folder / "python"), "--vertices", "300", *QUIET]
+    return ["simulate", str(folder / "model.npz"), *flags, "--out", str(folder / out), "--against", *pokes, *more]
+
+
+def test_the_needed_modulus_is_fitted_and_pokes_are_held_out(folder: Path, capsys: Capture) -> None:
+    """The stand-in answers with .8 of a column's stiffness: the fit must find force_n of the fitted pokes."""
+    record = folder / "run.rrd"
+    assert main(command(folder, "--json", "-", "--record", str(record))) == 0
+    said = capsys.readouterr()
+    told = json.loads(said.out)
+    assert told["version"] == "0.0.1"
+    assert "0.0.1 was not tried" in said.err
+    fitted = [one for one in told["pokes"] if not one["held_out"]]
+    assert len(fitted) == 2
+    area = fitted[0]["size_m"][0] * fitted[0]["size_m"][1]
+    stiffness = [one["force_n"][0] / one["depth_m"][0] for one in fitted]
+    needed = np.sqrt(np.prod(stiffness)) * 0.03 / area / 0.8
+    assert told["needed"]["young_pa"] == pytest.approx(needed, rel=0.05)
+    assert told["determined"] == {"young": True, "poisson": False, "contact": False}
+    assert abs(told["held_out"]["force_error"]) < 0.2
+    assert ds.verify(record).ok
+    body = ET.parse(folder / "body" / "slab.xml").getroot()
+    elasticity = body.find("worldbody/flexcomp/elasticity")
+    assert elasticity is not None
+    assert float(elasticity.attrib["young"]) == pytest.approx(told["needed"]["young_pa"], rel=1e-5)
+
+
+def test_the_meshes_for_others_hold_the_body_and_its_fields(folder: Path) -> None:
+    found = ds.simulate(
+        folder / "model.npz",
+        out=folder / "python-body",
+        target="mujoco",
+        python=folder / "python",
+        vertices=200,
+        held_out=1,
+        against=[folder / f"poke{number}.npz" for number in range(3)],
+    )
+    assert found.modulus_pa > 0.0
+    assert "modulus needed" in str(found)
+    piece = ET.parse(folder / "python-body" / "slab.vtu").getroot().find("UnstructuredGrid/Piece")
+    assert piece is not None
+    arrays = {one.attrib["Name"]: np.array((one.text or "").split(), np.float64) for one in piece.iter("DataArray")}
+    count = int(piece.attrib["NumberOfPoints"])
+    np.testing.assert_allclose(arrays["points"].reshape(-1, 3), found.mesh.vertices, rtol=1e-6)
+    assert len(arrays["displacement_m"]) == 3 * count
+    assert len(arrays["connectivity"]) == 4 * int(piece.attrib["NumberOfCells"])
+    np.testing.assert_allclose(arrays["young_pa"], found.modulus_pa, rtol=1e-6)
+    lines = (folder / "python-body" / "slab.obj").read_text().splitlines()
+    assert sum(one.startswith("v ") for one in lines) == count
+    corners = [[int(one) for one in line.split()[1:]] for line in lines if line.startswith("f ")]
+    assert np.min(corners) == 1
+
+
+@pytest.mark.parametrize(
+    ("how", "said"),
+    [
+        ("missing", "expected mujoco in"),
+        ("crash", "ended with status 7: it ran out of memory"),
+        ("garbage", "no JSON: not JSON"),
+        ("error", "mujoco 0.0.1: ValueError: unknown attribute 'dof'"),
+    ],
+)
+def test_errors_of_the_target_are_one_line(
+    folder: Path, how: str, said: str, monkeypatch: Patch, capsys: Capture
+) -> None:
+    monkeypatch.setenv("FAKE_TARGET", how)
+    assert main(command(folder)) == 2
+    (*_, last) = capsys.readouterr().err.splitlines()
+    assert said in last
+    assert "try:" in last
+
+
+def test_a_target_that_hangs_is_ended_by_the_time_limit(folder: Path, monkeypatch: Patch, capsys: Capture) -> None:
+    monkeypatch.setenv("FAKE_TARGET", "hang")
+    assert main(command(folder, "--limit-s", "1")) == 2
+    assert "--limit-s" in capsys.readouterr().err
+
+
+def test_bad_input_is_one_line(folder: Path, capsys: Capture) -> None:
+    model, out = str(folder / "model.npz"), ["--in", "mujoco", "--out", str(folder / "bad"), *QUIET]
+    pair = str(folder / "poke0.npz")
+    for args, said in (
+        ([*out], "--against PAIR.npz..., or --poke"),
+        ([*out, "--against", pair, "--python", "/no/such/python"], "a Python interpreter after --python"),
+        ([*out, "--against", str(folder / "noforce0.npz")], "pokes with their force"),
+        ([*out, "--against", pair, "--poke", "at=0.1,0.1 depth=0.001"], "--against or --poke"),
+        ([*out, "--against", pair, "--held-out", "1"], "a poke to fit beside those held out"),
+        ([*out, "--poke", "at=0.175,0.08 depth=0.001"], "pokes on the surface"),
+        ([*out, "--against", pair, "--tip", "sphere:0.02"], "--tip with a recording"),
+    ):
+        assert main(["simulate", model, *args]) == 2
+        lines = capsys.readouterr().err.splitlines()
+        assert said in lines[-1]
+        assert len(lines) <= 5
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not has("mujoco"), reason="needs mujoco, or DEFORMSCOPE_TARGETS_PYTHON with it")
+def test_mujoco_repeats_the_pokes_and_loads_the_body_alone(folder: Path, capsys: Capture) -> None:
+    args = command(folder, "--json", "-", "--python", WITH_TARGETS, out="mujoco")
+    assert main(args) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["determined"]["young"]
+    assert told["fitted"]["force_error"] < 0.1
+    assert told["errors_by_run"][-1] < told["errors_by_run"][0]
+    load = "import mujoco, sys; m = mujoco.MjModel.from_xml_path(sys.argv[1]); print(m.nflexvert)"
+    alone = [WITH_TARGETS, "-I", "-c", load, str(folder / "mujoco" / "slab.xml")]
+    found = subprocess.run(alone, capture_output=True, text=True, check=True, cwd="/")
+    assert int(found.stdout) == told["vertices"]

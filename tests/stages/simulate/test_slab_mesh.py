@@ -1,0 +1,79 @@
+"""The mesh of a slab for other simulators."""
+
+import numpy as np
+import pytest
+
+from deformscope.arrays import FloatArray
+from deformscope.errors import InputError
+from deformscope.stages.msm.poke import Tip
+from deformscope.stages.poke.layers import MeasuredSurface
+from deformscope.stages.poke.poke_fit import SeenPoke
+from deformscope.stages.simulate.slab_mesh import slab_around, slab_mesh
+
+AXES = (np.linspace(0.0, 0.1, 5), np.linspace(-0.02, 0.05, 4), np.linspace(0.01, 0.03, 4))
+NONE = np.zeros((0, 3))
+
+
+def surface(side: float = 0.2, hole: float = 0.0) -> MeasuredSurface:
+    axis = np.arange(0.0, side + 1e-9, 0.01)
+    points = np.stack(np.meshgrid(axis, axis, [0.03], indexing="ij"), axis=-1).reshape(-1, 3)
+    return MeasuredSurface(points[np.linalg.norm(points[:, :2] - 0.5 * side, axis=1) >= hole], 0.03)
+
+
+def poke(at: tuple[float, float]) -> SeenPoke:
+    return SeenPoke(np.array([*at, 0.03]), Tip("sphere", (0.02,)), 0.002, NONE, NONE, NONE, NONE, None, 1.0)
+
+
+def test_the_tetrahedra_fill_the_slab_and_its_outside_is_closed() -> None:
+    mesh = slab_mesh(AXES)
+    edges = mesh.vertices[mesh.elements[:, 1:]] - mesh.vertices[mesh.elements[:, :1]]
+    volumes = np.linalg.det(edges) / 6.0
+    assert (volumes > 0.0).all()
+    assert volumes.sum() == pytest.approx(0.1 * 0.07 * 0.02, rel=1e-12)
+    faces = mesh.outside()
+    along = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    assert {tuple(one) for one in along} == {tuple(one[::-1]) for one in along}
+    assert len({tuple(one) for one in along}) == len(along)
+    # by the divergence theorem the outside encloses the volume, with its normals outwards
+    corner = mesh.vertices[faces]
+    inside = np.einsum("ij,ij->i", corner[:, 0], np.cross(corner[:, 1], corner[:, 2])).sum() / 6.0
+    assert inside == pytest.approx(volumes.sum(), rel=1e-12)
+    assert len(mesh.bottom) == 5 * 4
+
+
+def test_neighbouring_cells_share_their_diagonals() -> None:
+    """A face inside belongs to exactly two tetrahedra; the mesh is conforming."""
+    elements = slab_mesh(AXES).elements
+    faces = np.sort(elements[:, [[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]].reshape(-1, 3), axis=1)
+    _, count = np.unique(faces, axis=0, return_counts=True)
+    assert set(count.tolist()) == {1, 2}
+
+
+def test_values_of_the_surface_are_interpolated_and_beyond_it_nothing_moves() -> None:
+    mesh = slab_mesh(AXES)
+    linear: FloatArray = mesh.vertices @ np.array([[1.0, 0.0, 2.0], [0.0, 3.0, 0.0], [5.0, 0.0, 0.0]])
+    places = np.array([[0.033, 0.011], [0.1, 0.05], [0.2, 0.0]])
+    expected = np.column_stack([places, [0.03] * 3]) @ np.array([[1.0, 0.0, 2.0], [0.0, 3.0, 0.0], [5.0, 0.0, 0.0]])
+    expected[2] = 0.0
+    np.testing.assert_allclose(mesh.at_surface(linear, places), expected, atol=1e-12)
+
+
+def test_the_slab_is_the_part_around_the_pokes_with_about_so_many_vertices() -> None:
+    mesh = slab_around(surface(), [poke((0.1, 0.1)), poke((0.11, 0.09))], None, 800)
+    assert 400 <= len(mesh.vertices) <= 1000
+    assert mesh.size[2] == pytest.approx(0.03)
+    assert mesh.axes[0][0] < 0.1 - 0.01 - 0.03
+    assert mesh.axes[0][-1] > 0.11 + 0.01 + 0.03
+    assert slab_around(surface(), [poke((0.1, 0.1))], 0.01, 800).cells[2] == 3
+    assert slab_around(surface(), [poke((0.015, 0.1))], None, 800).axes[0][0] == 0.0
+
+
+def test_what_cannot_be_meshed_is_refused() -> None:
+    for body, at, spacing, said in (
+        (surface(), (0.25, 0.1), None, "one at (0.25, 0.1) m"),
+        (surface(), (0.195, 0.1), None, "pokes on the surface"),
+        (surface(hole=0.045), (0.1, 0.16), None, "a hole"),
+        (surface(), (0.1, 0.1), 0.001, "a larger --spacing-m"),
+    ):
+        with pytest.raises(InputError, match=said.replace("(", r"\(").replace(")", r"\)")):
+            slab_around(body, [poke(at)], spacing, 800)

@@ -1,0 +1,136 @@
+"""The fit of a simulator's parameters, to a simulator whose answers are known: linear finite elements, and contact that
+gives way."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deformscope.lab.elasticity import ElasticBox
+from deformscope.stages.msm.poke import Tip
+from deformscope.stages.poke.poke_fit import SeenPoke
+from deformscope.stages.simulate.slab_mesh import slab_mesh
+from deformscope.stages.simulate.target_fit import (
+    MeasuredPoke,
+    Stopped,
+    TargetParameters,
+    TargetPoke,
+    fit_target,
+    surface_moved,
+    target_score,
+)
+
+MESH = slab_mesh((np.linspace(0.0, 0.08, 9), np.linspace(0.0, 0.08, 9), np.linspace(0.0, 0.03, 4)))
+TRUE = TargetParameters(40e3, 0.35, 1e5)
+START = TargetParameters(60e3, 0.2, 1e4)
+GIVES = 3e5
+"""Force per penetration, of a contact of 1e5 / s^2 [N/m]."""
+POKES = (((0.04, 0.04), 0.001), ((0.03, 0.04), 0.002), ((0.04, 0.05), 0.003))
+
+
+class Elements:
+    """Trilinear finite elements on the mesh's grid, pressed by a flat tip, behind a spring for the contact."""
+
+    def __init__(self, allowed: int = 1000) -> None:
+        self.runs, self.allowed = 0, allowed
+
+    def __call__(self, parameters: TargetParameters, pokes: Sequence[MeasuredPoke]) -> list[TargetPoke]:
+        self.runs += 1
+        if self.runs > self.allowed:
+            raise Stopped
+        box = ElasticBox(*MESH.axes, young=parameters.young, poisson=parameters.poisson, element="trilinear")
+        return [_pressed(box, parameters.contact, one.seen.at, one.depth) for one in pokes]
+
+
+def _pressed(box: ElasticBox, contact: float, at: np.ndarray, depth: np.ndarray) -> TargetPoke:
+    under = box.plane(2, 0.03) & (np.abs(box.nodes[:, :2] - at[:2]) <= 0.0101).all(axis=1)
+    held = np.zeros(box.nodes.shape, dtype=bool)
+    held[box.plane(2, 0.0)] = True
+    held[under, 2] = True
+    moved = np.zeros(held.shape)
+    moved[under, 2] = -1.0
+    unit = box.hold(held).solve(moved)
+    stiffness, gives = float(-unit.force[under, 2].sum()), GIVES * contact / 1e5
+    sunk = depth * gives / (gives + stiffness)
+    displaced = unit.displacement[box.corners] * sunk[-1]
+    return TargetPoke(stiffness * sunk, depth - sunk, MESH.vertices, displaced)
+
+
+def measured(parameters: TargetParameters = TRUE) -> list[MeasuredPoke]:
+    """What such pokes of the true body show, at places of its upper face."""
+    axis = np.linspace(0.01, 0.07, 9)
+    places = np.stack(np.meshgrid(axis, axis, [0.03], indexing="ij"), axis=-1).reshape(-1, 3)
+    none = np.zeros((0, 3))
+    found = []
+    for at, depth in POKES:
+        seen = SeenPoke(np.array([*at, 0.03]), Tip("flat", (0.02, 0.02)), depth, none, none, places, places, None, 1.0)
+        poke = MeasuredPoke("", seen, np.array([0.5, 1.0]) * depth, np.ones(2))
+        answer = Elements()(parameters, [poke])[0]
+        seen = replace(seen, moved=surface_moved(MESH, poke, answer), force=float(answer.force[-1]))
+        found.append(MeasuredPoke("", seen, poke.depth, answer.force))
+    return found
+
+
+def test_the_parameters_that_made_the_pokes_are_found() -> None:
+    pokes = measured()
+    target = Elements()
+    fit = fit_target(MESH, pokes, target, START, (True, True, True))
+    assert fit.converged
+    assert target.runs <= 21
+    assert fit.parameters.young == pytest.approx(TRUE.young, rel=0.03)
+    assert fit.parameters.poisson == pytest.approx(TRUE.poisson, abs=0.02)
+    assert fit.determined("young")
+    assert fit.determined("poisson")
+    assert fit.errors[-1] < 0.1 * fit.errors[0]
+    for poke, answer in zip(pokes, fit.answers, strict=True):
+        score = target_score(MESH, poke, answer, "elements")
+        assert abs(score.force_error or 0.0) < 0.02
+        assert score.surface_error < 0.02
+
+
+def test_a_given_parameter_stays_and_is_not_called_determined() -> None:
+    given = replace(START, poisson=TRUE.poisson)
+    fit = fit_target(MESH, measured(), Elements(), given, (True, False, True))
+    assert fit.parameters.poisson == TRUE.poisson
+    assert not fit.determined("poisson")
+    assert fit.determined("young")
+
+
+def test_a_contact_that_hardly_gives_way_is_not_determined() -> None:
+    """Its force is the same for any stiffness far above the body's."""
+    hard = replace(TRUE, contact=3e7)
+    fit = fit_target(MESH, measured(hard), Elements(), replace(hard, young=60e3), (True, True, True))
+    assert not fit.determined("contact")
+    assert fit.determined("young")
+    assert fit.parameters.young == pytest.approx(hard.young, rel=0.03)
+
+
+def test_noise_widens_the_deviations() -> None:
+    rng = np.random.default_rng(1)
+    noisy = []
+    for one in measured():
+        moved = one.seen.moved + rng.normal(0.0, 0.2 * one.seen.depth, one.seen.moved.shape)
+        noisy.append(replace(one, seen=replace(one.seen, moved=moved)))
+    clean, rough = (fit_target(MESH, some, Elements(), START, (True, True, True)) for some in (measured(), noisy))
+    assert rough.deviation[1] > 2.0 * clean.deviation[1]
+
+
+def test_when_it_is_stopped_the_best_so_far_remains() -> None:
+    """After five runs: the first, three for the derivatives, and one better."""
+    fit = fit_target(MESH, measured(), Elements(allowed=5), START, (True, True, True))
+    assert not fit.converged
+    assert len(fit.errors) == 2
+    assert fit.errors[1] < fit.errors[0]
+    early = fit_target(MESH, measured(), Elements(allowed=2), START, (True, True, True))
+    assert early.parameters.young == pytest.approx(START.young)
+    assert not early.determined("young")
+
+
+def test_of_heights_alone_sideways_motion_is_not_compared() -> None:
+    poke = measured()[2]
+    answer = Elements()(TRUE, [poke])[0]
+    heights = replace(poke, seen=replace(poke.seen, heights_only=True))
+    moved = surface_moved(MESH, heights, answer)
+    np.testing.assert_array_equal(moved[:, :2], 0.0)
+    assert moved[:, 2].min() == pytest.approx(poke.seen.moved[:, 2].min(), rel=0.05)
