@@ -95,7 +95,7 @@ class PokeAnswer:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimulationResult(SourceResult):
     """The body in the simulator. measured: modulus by the pokes' force [Pa] and Poisson's ratio that it was typed in
-    with; stable_s: longest time step tried that keeps the force, None = none; seconds: of the whole run"""
+    with; stable_s: longest time step tried that keeps the force, None = none; seconds: duration of the whole run"""
 
     target: str
     version: str
@@ -367,7 +367,7 @@ def _held_out(pokes: Sequence[MeasuredPoke], asked: int | None) -> list[Measured
     """Pokes for the test, spread evenly."""
     count = len(pokes) // 3 if asked is None else asked
     if count >= len(pokes):
-        raise InputError("a poke to fit beside those held out", f"{len(pokes)} in all", f"--held-out {len(pokes) - 1}")
+        raise InputError("a poke to fit next to those held out", f"{len(pokes)} in all", f"--held-out {len(pokes) - 1}")
     return [pokes[(2 * number + 1) * len(pokes) // (2 * count)] for number in range(count)]
 
 

@@ -131,7 +131,7 @@ def test_bad_input_is_one_line(folder: Path, capsys: Capture) -> None:
         ([*out, "--against", pair, "--python", "/no/such/python"], "a Python interpreter after --python"),
         ([*out, "--against", str(folder / "noforce0.npz")], "pokes with their force"),
         ([*out, "--against", pair, "--poke", "at=0.1,0.1 depth=0.001"], "--against or --poke"),
-        ([*out, "--against", pair, "--held-out", "1"], "a poke to fit beside those held out"),
+        ([*out, "--against", pair, "--held-out", "1"], "a poke to fit next to those held out"),
         ([*out, "--poke", "at=0.175,0.08 depth=0.001"], "pokes on the surface"),
         ([*out, "--against", pair, "--tip", "sphere:0.02"], "--tip with a recording"),
     ):
