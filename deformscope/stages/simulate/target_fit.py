@@ -58,8 +58,8 @@ HIGHEST = TargetParameters(1e9, 0.49, 1e8)
 
 @dataclass(frozen=True)
 class MeasuredPoke:
-    """A measured poke. name; seen: its place, tip, and surface at the greatest depth; depth, force: (n,) rising depths of
-    the tip and the forces there [m, N]"""
+    """A measured poke. name; seen: its place, tip, and surface at the greatest depth; depth, force: (n,) rising depths
+    of the tip and the forces there [m, N]"""
 
     name: str
     seen: SeenPoke
