@@ -11,6 +11,7 @@ import struct
 import threading
 import tty
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from typing import Any, Self, cast
 
 from deformscope_drivers.clock import monotonic_ns
@@ -19,7 +20,7 @@ from deformscope_drivers.errors import NotConnected
 from deformscope_drivers.pacing import SENDING, be_prompt
 from deformscope_drivers.transport import CAN_FRAME_BYTES, CHUNK_BYTES, open_bus
 
-LONGEST_WAIT_S, PORT_TRIES = 0.1, 50
+LONGEST_WAIT_S, PORT_TRIES, WAITING_BYTES = 0.1, 50, 1 << 20
 LOOPBACK = "127.0.0.1"
 
 
@@ -146,91 +147,38 @@ class PtyWire(Wire):
             return 0  # nobody reads, and the terminal is full: as on a real line, the bytes are gone
 
 
-class TcpWire(Wire):
-    """A socket on loopback that one host at a time connects to; `port` is pyserial's `socket://` URL."""
-
-    def __init__(self, double: Double) -> None:
-        super().__init__(double)
-        self._number = 0
-        self.port = ""
-        self._server: socket.socket | None = None
-        self._client: socket.socket | None = None
-
-    def _attach(self) -> None:
-        server = socket.create_server((LOOPBACK, self._number))
-        self._server, self._number = server, server.getsockname()[1]
-        self.port = f"socket://{LOOPBACK}:{self._number}"
-
-    def _detach(self) -> None:
-        for end in (self._client, self._server):
-            if end is not None:
-                end.close()
-        self._client = self._server = None
-
-    def _take(self, wait_s: float) -> bytes:
-        assert self._server is not None
-        ends = [self._server, *([self._client] if self._client is not None else [])]
-        ready, _, _ = select.select(ends, [], [], wait_s)
-        if self._server in ready:
-            if self._client is not None:
-                self._client.close()
-            self._client, _ = self._server.accept()
-            self._client.setblocking(False)  # a host that connects and never reads must not hold the double up
-            self._client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            return b""
-        if self._client is None or self._client not in ready:
-            return b""
-        try:
-            data = self._client.recv(CHUNK_BYTES)
-        except OSError:
-            data = b""
-        if not data:
-            self._client.close()
-            self._client = None
-        return data
-
-    def _give(self, data: bytes) -> int:
-        if self._client is None:
-            return 0
-        try:
-            return self._client.send(data)
-        except OSError:  # gone, or nobody reads and the socket is full
-            return 0
-
-
 class PortsWire(Wire):
     """Ports of a controller on loopback, each for any number of clients; `port` is the URL of the first one.
 
     Where theirs are not free they have others, with the same distances. Unplugged, it resets its connections."""
 
-    double: PortsDouble
-
-    def __init__(self, double: PortsDouble) -> None:
+    def __init__(self, double: Double) -> None:
         super().__init__(double)
         self.port, self._number = "", 0
+        self._ports: Mapping[str, int] = getattr(double, "ports", {"": 0})
         self._servers: dict[socket.socket, str] = {}
         self._clients: dict[socket.socket, tuple[Double, bytearray]] = {}
 
-    def _attach(self) -> None:
-        self.bind()
-
     def bind(self) -> str:
         """Open its ports, also before it is entered; the URL of the first one."""
-        if self._servers:
-            return self.port
-        first = next(iter(self.double.ports.values()))
-        for number in [self._number] if self._number else [first, *[0] * PORT_TRIES]:
+        first = next(iter(self._ports.values()))
+        numbers = [self._number or first] + [0] * (0 if self._number else PORT_TRIES)
+        while not self._servers and numbers:
+            number = numbers.pop(0)
             try:
-                for name, usual in self.double.ports.items():
+                for name, usual in self._ports.items():
                     server = socket.create_server((LOOPBACK, number + usual - first if number else 0))
                     self._servers[server] = name
                     number = number or server.getsockname()[1]
             except (OSError, OverflowError):
                 self._detach()
-                continue
             self._number, self.port = number, f"socket://{LOOPBACK}:{number}"
-            return self.port
-        raise NotConnected(f"{len(self.double.ports)} free ports", "none", "end other doubles", LOOPBACK)
+        if not self._servers:
+            raise NotConnected(f"{len(self._ports)} free ports", "none", "end other doubles", LOOPBACK)
+        return self.port
+
+    def _attach(self) -> None:
+        self.bind()
 
     def _detach(self) -> None:
         for client in list(self._clients):
@@ -240,31 +188,53 @@ class PortsWire(Wire):
             self._servers.popitem()[0].close()
 
     def _take(self, wait_s: float) -> bytes:
-        """Serve all clients once; the wire itself has nothing to hand over."""
+        """Serve all clients once; then nothing is left to hand over."""
         for end in select.select([*self._servers, *self._clients], [], [], wait_s)[0]:
             if end in self._servers:
                 client, _ = end.accept()
-                client.setblocking(False)
+                client.setblocking(False)  # a host that connects and never reads must not hold the double up
                 client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                self._clients[client] = self.double.connection(self._servers[end]), bytearray()
-                continue
-            try:
-                data = end.recv(CHUNK_BYTES)
-            except OSError:
+                self._clients[client] = self._connect(self._servers[end]), bytearray()
+            elif end in self._clients:
                 data = b""
-            self._clients[end][0].receive(data, monotonic_ns()) if data else self._close(end)
+                with contextlib.suppress(OSError):
+                    data = end.recv(CHUNK_BYTES)
+                self._clients[end][0].receive(data, monotonic_ns()) if data else self._close(end)
         for client, (connection, waiting) in self._clients.items():
             waiting += connection.due(monotonic_ns())
             with contextlib.suppress(OSError):  # full, or gone, which the next read shows
                 del waiting[: client.send(waiting)]
+            if len(waiting) > WAITING_BYTES:
+                self.lost_bytes += len(waiting)
+                waiting.clear()
         return b""
 
     def _give(self, data: bytes) -> int:
-        return len(data)
+        for _, waiting in self._clients.values():
+            waiting += data
+        return len(data) if self._clients else 0
 
     def _close(self, client: socket.socket) -> None:
-        self.double.drop(self._clients.pop(client)[0])
+        self._left(self._clients.pop(client)[0])
         client.close()
+
+    def _connect(self, name: str) -> Double:
+        return cast(PortsDouble, self.double).connection(name)
+
+    def _left(self, connection: Double) -> None:
+        cast(PortsDouble, self.double).drop(connection)
+
+
+class TcpWire(PortsWire):
+    """A socket on loopback that one host at a time connects to; `port` is pyserial's `socket://` URL."""
+
+    def _connect(self, name: str) -> Double:
+        for client in list(self._clients):
+            self._close(client)
+        return self.double
+
+    def _left(self, connection: Double) -> None:
+        """The double stays."""
 
 
 class DatagramWire(Wire):
@@ -360,7 +330,7 @@ def wire_for(double: Double, config: Any, bus: str = "") -> Wire:
     """A wire to a double: by a CAN bus, a socket or datagrams if the configuration names one, else a pseudo terminal.
     bus: replacement of the CAN bus that the configuration names"""
     if hasattr(double, "ports"):
-        return PortsWire(cast(PortsDouble, double))
+        return PortsWire(double)
     if getattr(config, "bus", ""):
         return CanWire(double, bus, receive_id=config.receive_id, send_id=config.send_id, bitrate=config.bitrate)
     if config.port.startswith("socket:"):

@@ -1,11 +1,9 @@
 """Universal Robots' arms, CB3 and e-Series, through RTDE: `driver = "ur"`."""
 
 import dataclasses
-from typing import Any
 
 from deformscope_drivers.clock import Clock
-from deformscope_drivers.doubles import Double
-from deformscope_drivers.interface import ArmInLab, DeviceDriver, FloatArray, Scene
+from deformscope_drivers.interface import ArmInLab, DeviceDriver, FloatArray
 from deformscope_drivers.memory import MemoryTransport, SimulatedClock
 from deformscope_drivers.wires import PortsWire
 from deformscope_ur.config import CHAINS
@@ -14,10 +12,6 @@ from deformscope_ur.config import ur_chain as ur_chain
 from deformscope_ur.device import Ur as Ur
 from deformscope_ur.device import open_ur
 from deformscope_ur.double import UrDouble as UrDouble
-
-
-def _double(config: Any, scene: Scene | None) -> Double:
-    return UrDouble(config)
 
 
 def _in_lab(config: UrConfig, start_deg: FloatArray | None, clock: Clock) -> ArmInLab:
@@ -29,4 +23,6 @@ def _in_lab(config: UrConfig, start_deg: FloatArray | None, clock: Clock) -> Arm
     return ArmInLab(open_ur(dataclasses.replace(config, port=wire.bind())), double, wire)
 
 
-DRIVER = DeviceDriver("arm", UrConfig, open_ur, double=_double, chains=lambda: CHAINS, in_lab=_in_lab)
+DRIVER = DeviceDriver(
+    "arm", UrConfig, open_ur, double=lambda config, scene: UrDouble(config), chains=lambda: CHAINS, in_lab=_in_lab
+)

@@ -3,23 +3,17 @@
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from deformscope_drivers.arm.kinematics import (
-    Chain,
-    FloatArray,
-    Joint,
-    euler_xyz_from_rotation,
-    rotation_from_rpy,
-    transform,
-)
+from deformscope_drivers.arm.kinematics import Chain, FloatArray, Joint, euler_xyz_from_rotation, transform
+from deformscope_drivers.arm.kinematics import rotation_from_rpy as by_rpy
 from deformscope_drivers.transport import check_port
 
 RTDE, DASHBOARD, SCRIPT = "rtde", "dashboard", "script"
 PORTS = {RTDE: 30004, DASHBOARD: 29999, SCRIPT: 30002}
 """Ports of a controller; with another one for RTDE, the others are as far from it."""
-Vector3 = tuple[float, float, float]
 ZEROS = (0.0,) * 6
 HOME_DEG = (0.0, -90.0, -90.0, -90.0, 90.0, 0.0)
 """Upper arm upright, forearm level, flange down."""
@@ -45,21 +39,21 @@ def ur_chain(model: str, *deltas: tuple[float, ...]) -> Chain:
     speeds_deg_s, ranges_deg = (arm, arm, elbow, wrist, wrist, wrist), (360.0, 360.0, ELBOW_DEG, 360.0, 360.0, 360.0)
     steps: list[FloatArray] = [np.eye(4)]
     for joint in range(6):
-        steps[joint] = steps[joint] @ transform(rotation_from_rpy(0.0, 0.0, d_theta[joint]), np.zeros(3))
-        alpha = rotation_from_rpy(ALPHA_RAD[joint] + d_alpha[joint], 0.0, 0.0)
+        steps[joint] = steps[joint] @ transform(by_rpy(0.0, 0.0, d_theta[joint]), np.zeros(3))
+        alpha = by_rpy(ALPHA_RAD[joint] + d_alpha[joint], 0.0, 0.0)
         steps.append(transform(alpha, (a[joint] + d_a[joint], 0.0, d[joint] + d_d[joint])))
     for joint in (2, 3):
         slide = transform(np.eye(3), (0.0, 0.0, -steps[joint][2, 3] / steps[joint][2, 2]))
         steps[joint], steps[joint + 1] = steps[joint] @ slide, np.linalg.inv(slide) @ steps[joint + 1]
-    each = zip(steps[:6], ranges_deg, speeds_deg_s, masses_kg, strict=True)
-    joints = tuple(Joint(*_xyz_rpy(step), -end, end, speed, 0.0, mass_kg) for step, end, speed, mass_kg in each)
-    return Chain(model, joints, *_xyz_rpy(steps[6]), HOME_DEG)
+    poses: list[Any] = list(map(_xyz_rpy, steps))
+    each = zip(poses[:6], ranges_deg, speeds_deg_s, masses_kg, strict=True)
+    joints = tuple(Joint(xyz_m, rpy, -end, end, speed, 0.0, mass_kg) for (xyz_m, rpy), end, speed, mass_kg in each)
+    return Chain(model, joints, poses[6][0], poses[6][1], HOME_DEG)
 
 
-def _xyz_rpy(T: FloatArray) -> tuple[Vector3, Vector3]:
+def _xyz_rpy(T: FloatArray) -> Any:
     """Translation [m] and roll, pitch, yaw [rad] of a transform (4, 4)."""
-    (x, y, z), (roll, pitch, yaw) = T[:3, 3].tolist(), (-euler_xyz_from_rotation(T[:3, :3].T)).tolist()
-    return (x, y, z), (roll, pitch, yaw)
+    return tuple(T[:3, 3].tolist()), tuple((-euler_xyz_from_rotation(T[:3, :3].T)).tolist())
 
 
 CHAINS = {model: ur_chain(model) for model in _ARMS}

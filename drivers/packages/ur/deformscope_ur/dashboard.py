@@ -2,10 +2,8 @@
 
 Source: Universal Robots' "Dashboard Server" for CB3 and e-Series."""
 
-from collections.abc import Callable
-
 from deformscope_drivers.clock import Clock
-from deformscope_drivers.errors import CommandRefused, NoReply
+from deformscope_drivers.errors import NoReply
 from deformscope_drivers.transport import Transport
 
 GREETING = "Connected: Universal Robots Dashboard Server"
@@ -17,10 +15,8 @@ UNKNOWN = "could not understand"
 class Dashboard:
     """`with Dashboard(transport, clock) as dashboard: dashboard.ask("robotmode")`. Raises NotConnected, LinkLost."""
 
-    def __init__(self, transport: Transport, clock: Clock, ended: Callable[[], bool] = lambda: False) -> None:
-        """ended: whether waiting for an answer is to be given up"""
-        self._transport, self._clock, self._ended = transport, clock, ended
-        self._buffered = b""
+    def __init__(self, transport: Transport, clock: Clock) -> None:
+        self._transport, self._clock, self._buffered = transport, clock, b""
 
     def __enter__(self) -> "Dashboard":
         self._transport.open()  # which may drop the greeting, or the first part of it
@@ -33,7 +29,7 @@ class Dashboard:
         """The answer to a command, without what comes before a colon; empty where this version has no such command."""
         self._transport.write(command.encode() + b"\n")
         until_ns = self._clock() + round(ANSWER_S * 1e9)
-        while (left_s := (until_ns - self._clock()) / 1e9) > 0 and not self._ended():
+        while (left_s := (until_ns - self._clock()) / 1e9) > 0:
             self._buffered += self._transport.read(min(left_s, 0.05))
             while b"\n" in self._buffered:
                 line, _, self._buffered = self._buffered.partition(b"\n")
@@ -42,9 +38,3 @@ class Dashboard:
                     return "" if answer.lower().startswith(UNKNOWN) else answer.rpartition(": ")[2]
         advice = "is it a controller? Its dashboard may be off (PolyScope: Settings, Security, Services)"
         raise NoReply(f"an answer to {command!r} within {ANSWER_S:g} s", "none", advice, self._transport.name)
-
-    def command(self, command: str, accepted: str, try_this: str) -> None:
-        """Have it do something. accepted: begin of the answer if it does. Raises CommandRefused."""
-        answer = self.ask(command)
-        if not answer.startswith(accepted):
-            raise CommandRefused(0, answer or "unknown command", command, try_this, self._transport.name)

@@ -157,19 +157,20 @@ class Ur(Arm[ArmState]):
 
     def _make_ready(self) -> None:
         """Have the controller run the script, after a look at its state. Raises SettingsRefused, CommandRefused."""
-        with Dashboard(self._ways(DASHBOARD), self._clock, self._closing.is_set) as dashboard:
+        with Dashboard(self._ways(DASHBOARD), self._clock) as dashboard:
             serial, firmware = dashboard.ask("get serial number"), dashboard.ask("PolyscopeVersion")
             self._identity = Identity(self.config.model, serial, firmware)
             if self._values["safety_status_bits"] & rtde.PROTECTIVE and self._link is Link.CONNECTED:
-                accepted, advice = "Protective stop releasing", "look for its cause; again after 5 s"
-                dashboard.command("unlock protective stop", accepted, advice)
+                answer, advice = dashboard.ask("unlock protective stop"), "look for its cause; again after 5 s"
+                if not answer.startswith("Protective stop releasing"):
+                    raise errors.CommandRefused(0, answer, "unlock protective stop", advice, self.name)
                 self._until(lambda: not self._values["safety_status_bits"] & rtde.PROTECTIVE, STARTS_S)
             self._check()
             if dashboard.ask("is in remote control") == "false":
                 advice = "choose remote control at the top right of PolyScope"
                 raise self._refused("a controller in remote control", "local control", advice)
             if self._values["runtime_state"] == Runtime.PAUSED and self._follows:
-                dashboard.command("stop", "Stopped", "stop the program on the pendant")
+                dashboard.ask("stop")
         self._session = random.SystemRandom().randrange(1, 1 << 31)  # a script of an earlier session ends by it
         rounds = itertools.count()  # in some of which the controller takes the session: the script would end without it
         if not self._until(lambda: self._values["runtime_state"] == Runtime.STOPPED and next(rounds) > 3, RESTS_S):
@@ -309,12 +310,11 @@ class Ur(Arm[ArmState]):
     def _until(self, condition: Callable[[], bool], seconds: float) -> bool:
         """Serve the controller until a condition holds; whether it did in time."""
         until_ns = self._clock() + round(seconds * 1e9)
-        while not (held := condition()) and self._clock() < until_ns:
-            for _ in self._reports(ROUND_S):
-                held = held or condition()
-            if held:
-                break
-        return held
+        while not condition():
+            if self._clock() >= until_ns:
+                return False
+            list(self._reports(ROUND_S))
+        return True
 
     def _rest(self) -> None:
         """Send zeros until the script has read them, or the arm rests without it. Raises NotStopped, LinkLost."""

@@ -29,12 +29,10 @@ REGISTER_LAG_S, STARTS_S, UNLOCK_S = 0.002, 0.02, 5.0
 stop until it can be unlocked."""
 STOP_RAD_S2 = 40.0
 """Deceleration of a protective stop, a pause, and the end of a program."""
-SENT_BYTES = 1 << 18
-"""What waits for a client that does not read; more is lost."""
 NOISE, BIAS_N, FRICTION_N = np.array([0.4] * 3 + [0.02] * 3), 1.0, 0.5
-"""Errors of the estimated force: deviation [N, Nm], by pose, by the direction of the motion."""
 CB3_TIMES, SINGULAR = 4.0, 0.03
-"""A CB3 estimates it by currents, with so much greater errors, and reports none below this singular value."""
+"""Errors of the estimated force: deviation [N, Nm], by pose, by the direction of the motion. A CB3 has no sensor, but
+currents: errors so many times greater, and no force below a singular value."""
 
 
 def _variables(way: str) -> dict[str, str]:
@@ -126,8 +124,7 @@ class UrDouble:
         return np.asarray(self.T_base_links[-1])
 
     def push(self, wrench: npt.ArrayLike) -> None:
-        """A push changes currents and the estimated force, no angles. wrench: (6,) on the flange, in the base frame
-        [N, Nm]"""
+        """A push changes currents and the estimated force. wrench: (6,) on the flange, in the base frame [N, Nm]"""
         self._wrench = np.array(wrench, dtype=float)
 
     def protective_stop(self) -> None:
@@ -207,9 +204,8 @@ class UrDouble:
             self.pause()
         if self._starts_ns is not None and now_ns >= self._starts_ns:
             self._starts_ns, self.runtime = None, Runtime.PLAYING
-        wanted, acceleration = np.zeros(6), STOP_RAD_S2
-        if self.runtime is Runtime.PLAYING:
-            wanted, acceleration = self._program_step(now_ns)
+        plays = self.runtime is Runtime.PLAYING
+        wanted, acceleration = self._program_step(now_ns) if plays else (np.zeros(6), STOP_RAD_S2)
         self._target = wanted * self.slider * self.gain
         most, gap = acceleration * self._period_ns / 1e9, self._target - self._qd
         self._qd = np.where(np.abs(gap) <= most, self._target, self._qd + np.sign(gap) * most)
@@ -256,7 +252,6 @@ class UrDouble:
             "read_input_float_register": lambda number: self.inputs.get(f"input_double_register_{number}", 0.0),
             "write_output_integer_register": self.registers.__setitem__,
             "rtde_set_watchdog": lambda name, hz, action: self._watched.update({name: (round(1e9 / hz), now_ns)}),
-            "textmsg": lambda *words: None,
         }
         try:
             self._steps = Program(text, functions).run()
@@ -314,7 +309,7 @@ class Connection:
 
     def __init__(self, controller: UrDouble) -> None:
         self.controller = controller
-        self._sent, self._text = bytearray(), b""
+        self._sent = self._text = b""
 
     def power_up(self, now_ns: int) -> None:
         """A client is there from the beginning."""
@@ -324,17 +319,11 @@ class Connection:
 
     def due(self, now_ns: int) -> bytes:
         self.controller.live(now_ns)
-        sent = bytes(self._sent)
-        self._sent.clear()
+        sent, self._sent = self._sent, b""
         return sent
 
     def next_ns(self, now_ns: int) -> int | None:
         return self.controller.next_ns(now_ns)
-
-    def send(self, data: bytes) -> None:
-        """Send bytes to the client."""
-        if len(self._sent) < SENT_BYTES:
-            self._sent += data
 
 
 class RtdeConnection(Connection):
@@ -352,7 +341,7 @@ class RtdeConnection(Connection):
         super().receive(data, now_ns)
         for package in self._decoder.feed(data):
             if isinstance(package, Package) and (reply := self._answer(package, now_ns)) is not None:
-                self.send(reply.encode())
+                self._sent += reply.encode()
 
     def _answer(self, package: Package, now_ns: int) -> Package | None:
         payload = package.payload
@@ -398,7 +387,7 @@ class RtdeConnection(Connection):
         self._count += 1
         if self._started and self._outputs and self._count % self._every == 0 and not self.controller.silent:
             values = {name: self.controller.output(name) for name in self._outputs.names}
-            self.send(self._outputs.pack(values).encode())
+            self._sent += self._outputs.pack(values).encode()
 
 
 def _names(payload: bytes) -> tuple[str, ...]:
@@ -423,13 +412,13 @@ class DashboardConnection(Connection):
 
     def __init__(self, controller: UrDouble) -> None:
         super().__init__(controller)
-        self.send(GREETING.encode() + b"\n")
+        self._sent += GREETING.encode() + b"\n"
 
     def receive(self, data: bytes, now_ns: int) -> None:
         super().receive(data, now_ns)
         *lines, self._text = (self._text[-1024:] + data).split(b"\n")
         for line in lines:
-            self.send(self._answer(line.decode("utf-8", "replace").strip()).encode() + b"\n")
+            self._sent += self._answer(line.decode("utf-8", "replace").strip()).encode() + b"\n"
 
     def _answer(self, command: str) -> str:
         arm = self.controller
@@ -457,8 +446,6 @@ class DashboardConnection(Connection):
             action, words = done[command]
             if (arm.remote or not arm.e_series) and action():
                 return words
-            early = command.startswith("unlock") and arm.remote
-            return "Cannot unlock protective stop until 5s after it" if early else f"Failed to execute: {command}"
-        if command.startswith("load "):
-            return f"File not found: {command[5:]}"
-        return said.get(command, f"{UNKNOWN}: '{command}'")
+            return "Cannot unlock protective stop until 5s" if "unlock" in command else f"Failed to execute: {command}"
+        absent = f"File not found: {command[5:]}" if command.startswith("load ") else f"{UNKNOWN}: '{command}'"
+        return said.get(command, absent)

@@ -20,19 +20,14 @@ _NAMES = "BOOL UINT8 UINT32 UINT64 INT32 DOUBLE VECTOR3D VECTOR6D VECTOR6INT32 V
 FORMATS = dict(zip(_NAMES.split(), ["?", "B", "I", "Q", "i", "d", "3d", "6d", "6i", "6I"], strict=True))
 """Formats of `struct` by the names of types."""
 Value = bool | int | float | tuple[int | float, ...]
-
-
 Kind = IntEnum(
     "Kind",
     {"TEXT": 77, "VERSION": 86, "CONTROLLER": 118, "OUTPUTS": 79, "INPUTS": 73, "START": 83, "PAUSE": 80, "DATA": 85},
 )
 """Kinds of packages, letters of ASCII; requests and their replies share one."""
 KINDS = {int(kind): kind for kind in Kind}
-
 LENGTHS = {Kind.VERSION: (1, 2), Kind.CONTROLLER: (0, 16), Kind.START: (0, 1), Kind.PAUSE: (0, 1)}
 """Possible lengths of a payload, of requests and replies, where they are fixed."""
-
-
 Runtime = IntEnum("Runtime", "STOPPING STOPPED PLAYING PAUSING PAUSED RESUMING", start=0)
 RUNTIMES = {int(state): state.name.lower() for state in Runtime}
 """`runtime_state`: what the controller's program does."""

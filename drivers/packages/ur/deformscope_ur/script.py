@@ -10,7 +10,6 @@ import re
 from collections.abc import Callable, Generator, Mapping
 from typing import Any
 
-MOTIONS = r"(speedj|stopj)\((.*)\)"
 Step = tuple[Any, ...]
 """A function that takes time: its name and its arguments."""
 _KNOWN = """Module FunctionDef arguments Assign While If Expr Call Name Constant List Tuple Subscript Compare BoolOp
@@ -74,7 +73,7 @@ def _as_python(text: str) -> str:
             depth -= 1
         elif words:
             back = words.startswith(("elif ", "else:"))
-            lines.append("  " * (depth - back) + re.sub(rf"^{MOTIONS}$", r"yield ('\1', \2)", words))
+            lines.append("  " * (depth - back) + re.sub(r"^(speedj|stopj)\((.*)\)$", r"yield ('\1', \2)", words))
             depth += words.endswith(":") - back
     if depth:
         raise ScriptError("an `end` is missing")
