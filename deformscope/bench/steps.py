@@ -61,7 +61,8 @@ class Stepping:
     def moved_bytes(self) -> int:
         """Bytes of all fields that a step reads, and of those it writes and reads again: the least that must move."""
         state, fields = self.state, self.state.operator.fields
-        arrays = [state.u, state.before, state.before, *(getattr(fields, name) for name in (*READ, *LEFT, *LEFT))]
+        again = [state.star] * 2 if state.operator.looks_ahead else [state.before]
+        arrays = [state.u, state.before, *again, *(getattr(fields, name) for name in (*READ, *LEFT, *LEFT))]
         return sum(int(each.capacity) for each in arrays)
 
 

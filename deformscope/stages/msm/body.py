@@ -91,7 +91,8 @@ class Operator(ABC):
 
     arrays: the body's, with the struct types `Motion` and `Kept`; cluster_stride: numbers between rows of a field of
     clusters; maps: the clusters' goal maps; beta_stride: see `Parameters`
-    threads: number of threads of one group of candidates in the kernels `resident`; 0 without such kernels"""
+    threads: number of threads of one group of candidates in the kernels `resident`; 0 without such kernels
+    looks_ahead: whether a step leaves x* (eq. 3.1, 3.2) of the next one"""
 
     beta_stride: int
 
@@ -99,7 +100,7 @@ class Operator(ABC):
         self.body: Any = body
         self.layout, self.arrays, self.cluster_stride = layout, arrays, cluster_stride
         self.dim, self.metric = body.dim, arrays.metric
-        self.threads = 0
+        self.threads, self.looks_ahead = 0, False
         self.resident: Any = None
         self.maps: Any = None
         self._nothing = layout.each(np.zeros(1), int)
@@ -162,11 +163,22 @@ class Operator(ABC):
     def change(self, direction: Field, out: Field, parameters: Parameters, running: Field, kept: object) -> None:
         """J p - p for a direction p of the free particles, where `residual` was last evaluated."""
 
+    def look_ahead(self, u: Field, before: Field, star: Field, motion: object, running: Field) -> None:
+        """x* of the first step, for an operator that `looks_ahead`."""
+        raise TypeError("expected an operator that looks ahead")
+
     @abstractmethod
     def step(
-        self, u: Field, before: Field, motion: object, parameters: Parameters, running: Field, ran_away: Field
+        self,
+        u: Field,
+        before: Field,
+        star: Field,
+        motion: object,
+        parameters: Parameters,
+        running: Field,
+        ran_away: Field,
     ) -> None:
-        """One time step; `before` becomes the new displacement."""
+        """One time step; `before` becomes the new displacement, and `star` may become x* of the next step."""
 
     @abstractmethod
     def cluster_values(self, values: FloatArray) -> Field:
@@ -186,6 +198,13 @@ class Body(ABC):
         self.scalar: Any = scalar
         self._arrays: dict[int, Any] = {}
         self.coarse: list[Any] = []  # levels of its preconditioner, once one was asked for
+        self._there: Any = None
+
+    def there(self, place: IntArray) -> Any:
+        """Places of the particles on a GPU, None on a CPU."""
+        if self._there is None and not self.device.startswith("cpu"):
+            self._there = upload(place, int, self.device)
+        return self._there
 
     def arrays(self, width: int) -> Any:
         """Rest data for lanes of one width."""

@@ -105,26 +105,8 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
         """R - I of eq. 3.9 in the plane (transposed), the compliance of its angle, and 1. See `functions.turn_2d`. a:
         rest moments A_qq (upper triangle), c: A_pq - A_qq (transposed)"""
 
-    @wp.func_native(
-        f"""
-    {matrix_c(16)} r;
-    {number} q[4][{width}];
-    {each} {{ q[0][l] = 1; q[1][l] = 0; q[2][l] = 0; q[3][l] = 0; }}
-    for (int step = 0; step < {NEWTON_STEPS}; ++step) {{
-        const {number} limit = {number}({accept}) * (step + 1 < {NEWTON_STEPS} ? 1 : 100);
-        {each} {{
+    turned_b = f"""
             const {number} w = q[0][l], x = q[1][l], y = q[2][l], z = q[3][l];
-            const {number} a00 = a.data[0][l], a01 = a.data[1][l], a02 = a.data[2][l];
-            const {number} a11 = a.data[3][l], a12 = a.data[4][l], a22 = a.data[5][l];
-            const {number} c00 = c.data[0][l], c10 = c.data[1][l], c20 = c.data[2][l];
-            const {number} c01 = c.data[3][l], c11 = c.data[4][l], c21 = c.data[5][l];
-            const {number} c02 = c.data[6][l], c12 = c.data[7][l], c22 = c.data[8][l];
-            const {number} size = a00 + a11 + a22;
-            const {number} size2 = size * size + c00 * c00 + c01 * c01 + c02 * c02 + c10 * c10 + c11 * c11
-                + c12 * c12 + c20 * c20 + c21 * c21 + c22 * c22;
-            const {number} f00 = a00 + c00, f01 = a01 + c01, f02 = a02 + c02;
-            const {number} f10 = a01 + c10, f11 = a11 + c11, f12 = a12 + c12;
-            const {number} f20 = a02 + c20, f21 = a12 + c21, f22 = a22 + c22;
             const {number} d00 = -2 * (y * y + z * z), d11 = -2 * (x * x + z * z), d22 = -2 * (x * x + y * y);
             const {number} d01 = 2 * (x * y - w * z), d10 = 2 * (x * y + w * z);
             const {number} d02 = 2 * (x * z + w * y), d20 = 2 * (x * z - w * y);
@@ -135,7 +117,23 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
             const {number} t12 = d01 * f02 + d11 * f12 + d21 * f22, t21 = d02 * f01 + d12 * f11 + d22 * f21;
             const {number} b00 = f00 + d00 * f00 + d10 * f10 + d20 * f20;
             const {number} b11 = f11 + d01 * f01 + d11 * f11 + d21 * f21;
-            const {number} b22 = f22 + d02 * f02 + d12 * f12 + d22 * f22;
+            const {number} b22 = f22 + d02 * f02 + d12 * f12 + d22 * f22;"""
+    rest_b = f"""
+            const {number} w = 1, x = 0, y = 0, z = 0;
+            const {number} d00 = 0, d10 = 0, d20 = 0, d01 = 0, d11 = 0, d21 = 0, d02 = 0, d12 = 0, d22 = 0;
+            const {number} t01 = 0, t10 = 0, t02 = 0, t20 = 0, t12 = 0, t21 = 0;
+            const {number} b00 = f00, b11 = f11, b22 = f22;"""
+
+    def evaluation(b: str) -> str:
+        """The gradient and the next quaternion of all lanes; b: B at the present one."""
+        return f"""
+        {each} {{
+            const {number} c00 = c.data[0][l], c10 = c.data[1][l], c20 = c.data[2][l];
+            const {number} c01 = c.data[3][l], c11 = c.data[4][l], c21 = c.data[5][l];
+            const {number} c02 = c.data[6][l], c12 = c.data[7][l], c22 = c.data[8][l];
+            const {number} f00 = a.data[0][l] + c00, f01 = a.data[1][l] + c01, f02 = a.data[2][l] + c02;
+            const {number} f10 = a.data[1][l] + c10, f11 = a.data[3][l] + c11, f12 = a.data[4][l] + c12;
+            const {number} f20 = a.data[2][l] + c20, f21 = a.data[4][l] + c21, f22 = a.data[5][l] + c22;{b}
             // gradient: axial(B); the rest part of F is symmetric and drops out
             const {number} g0 = c21 - c12 + t21 - t12, g1 = c02 - c20 + t02 - t20, g2 = c10 - c01 + t10 - t01;
             const {number} h00 = b11 + b22, h11 = b00 + b22, h22 = b00 + b11;
@@ -148,7 +146,7 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
             const {number} v0 = (m00 * g0 + m01 * g1 + m02 * g2) * inverse / 2;
             const {number} v1 = (m01 * g0 + m11 * g1 + m12 * g2) * inverse / 2;
             const {number} v2 = (m02 * g0 + m12 * g1 + m22 * g2) * inverse / 2;
-            const int good = (g0 * g0 + g1 * g1 + g2 * g2 <= limit * limit * size2) & (h00 > 0) & (m22 > 0)
+            const int good = (g0 * g0 + g1 * g1 + g2 * g2 <= limit * limit * size2[l]) & (h00 > 0) & (m22 > 0)
                 & (det > {number}({NO_ROTATION}) * h00 * h11 * h22);
             r.data[0][l] = d00; r.data[1][l] = d10; r.data[2][l] = d20;
             r.data[3][l] = d01; r.data[4][l] = d11; r.data[5][l] = d21;
@@ -161,9 +159,23 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
             const {number} shrink = 1 / wp::sqrt(nw * nw + nx * nx + ny * ny + nz * nz);
             q[0][l] = nw * shrink; q[1][l] = nx * shrink; q[2][l] = ny * shrink; q[3][l] = nz * shrink;
         }}
-        int settled = 0;
-        {each} settled += r.data[15][l] > 0;
-        if (settled == {width}) break;
+        settled = 0;
+        {each} settled += r.data[15][l] > 0;"""
+
+    @wp.func_native(
+        f"""
+    {matrix_c(16)} r;
+    {number} q[4][{width}], size2[{width}], limit = {number}({accept});
+    int settled;
+    {each} {{
+        const {number} size = a.data[0][l] + a.data[3][l] + a.data[5][l];
+        size2[l] = size * size;
+        for (int k = 0; k < 9; ++k) size2[l] += c.data[k][l] * c.data[k][l];
+    }}
+    {evaluation(rest_b)}
+    for (int step = 1; step < {NEWTON_STEPS} && settled < {width}; ++step) {{
+        if (step + 1 == {NEWTON_STEPS}) limit *= 100;
+        {evaluation(turned_b)}
     }}
     return r;"""
     )

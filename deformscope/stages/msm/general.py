@@ -82,7 +82,8 @@ class GeneralBody(Body):
         group = self.particle_count * abreast
         count, place = self.particle_count, np.arange(self.particle_count)
         stride = groups * group + width
-        return Layout(candidates, width, abreast, count, 0, group, stride, place, self.scalar, self.device)
+        where = place, self.scalar, self.device, self.there(place)
+        return Layout(candidates, width, abreast, count, 0, group, stride, *where)
 
     def operator(self, layout: Layout) -> "GeneralOperator":
         return GeneralOperator(self, layout, self.arrays(layout.width))
@@ -164,7 +165,14 @@ class GeneralOperator(Operator):
         self._finish(direction, direction, self.still, running, out, self._nothing)
 
     def step(
-        self, u: Field, before: Field, motion: object, parameters: Parameters, running: Field, ran_away: Field
+        self,
+        u: Field,
+        before: Field,
+        star: Field,
+        motion: object,
+        parameters: Parameters,
+        running: Field,
+        ran_away: Field,
     ) -> None:
         self.launch(
             self.arrays.kernels.predict,

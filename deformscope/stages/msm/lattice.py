@@ -31,6 +31,10 @@ RESIDENT_CELLS = 8192
 """Largest number of cells for which one block of a GPU's threads computes a whole body."""
 
 
+FILL, MARCH = 60_000, 8
+"""Number of threads that keep a GPU busy, and the most planes that one of them goes along where there are more."""
+
+
 def lattice_edges(rest: FloatArray, clusters: LatticeClusters) -> FloatArray | None:
     """(axes, d) from one cell to the next along each axis, if the rest shape (K, d) is an even lattice, else None."""
     used = [axis for axis, count in enumerate(clusters.shape) if count > 1]
@@ -94,7 +98,8 @@ class LatticeBody(Body):
         groups = -(-candidates // abreast)
         stride = front + groups * group + w[2] * abreast + 2 * width
         stride = -(-stride // 16) * 16
-        return Layout(candidates, width, abreast, self.count, front, group, stride, self.cell, self.scalar, self.device)
+        where = self.cell, self.scalar, self.device, self.there(self.cell)
+        return Layout(candidates, width, abreast, self.count, front, group, stride, *where)
 
     def operator(self, layout: Layout) -> "LatticeOperator":
         return LatticeOperator(self, layout, self.arrays(layout.width))
@@ -142,7 +147,7 @@ class _LatticeArrays:
     def __init__(self, body: LatticeBody, width: int) -> None:
         d, scalar, device = body.dim, body.scalar, body.device
         wide = set(body.window[3 - d :])
-        small = max(wide) <= k.BOTH or RESIDENT_CELLS < body.count < SLIDE_FROM
+        small = max(wide) ** d <= k.WHOLE or RESIDENT_CELLS < body.count < SLIDE_FROM
         self.window = window = max(wide) if width == 1 and len(wide) == 1 and small else 0
         self.kernels = k.lattice_kernels_for(d, scalar, width, window) if width == 1 else None
         self.functions = k.lattice_functions_for(d, scalar, width, window)
@@ -238,32 +243,67 @@ class LatticeOperator(Operator):
         fields = kk.Fields()
         fields.mass, fields.free, fields.pull = arrays.mass, arrays.free, arrays.pull
         fields.sides, fields.held_axis = arrays.sides, body.rest.held_axis
-        fields.sums_fast, fields.sums_middle = layout.field(2 * d), layout.field(3 * d)
+        between = 0 if kk.whole else d
+        fields.sums_fast, fields.sums_middle = layout.field(2 * between), layout.field(3 * between)
         fields.maps = self.maps = layout.field(d + d * d)
-        fields.maps_slow = layout.field(3 * d) if d == 3 else fields.maps
-        fields.maps_middle = layout.field(2 * d)
+        fields.maps_slow = layout.field(3 * between) if d == 3 else fields.maps
+        fields.maps_middle = layout.field(2 * between)
         self.fields = fields
         self.beta_stride = layout.group
-        self.resident = arrays.resident
+        self.resident, self.looks_ahead = arrays.resident, kk.whole
         if layout.device.startswith("cpu"):
             self.threads = 1
         elif body.count <= RESIDENT_CELLS:  # else passes are launched one by one
             self.threads = THREADS[layout.scalar]
+        grid.run_back, grid.items_back = 1, grid.items_plane
+        if kk.whole:
+            grid.run_back = min(max(1, n[0] * grid.plane * layout.groups // FILL), MARCH)
+            if self.threads:
+                grid.run_back = -(-n[0] // max(1, self.threads // grid.plane))
+            grid.items_back = -(-n[0] // grid.run_back) * grid.plane
 
     def residual(
         self, u: Field, out: Field, parameters: Parameters, running: Field, kept: object = None, what: int = GOAL
     ) -> None:
-        self._launch_passes(self._passes(parameters, kept, what), running, u, u, out, changing=False)
+        self._launch_passes(self._passes(parameters, kept, what), running, u, u, u, out, changing=False)
 
     def change(self, direction: Field, out: Field, parameters: Parameters, running: Field, kept: object) -> None:
-        self._launch_passes(self._passes(parameters, kept), running, direction, direction, out, changing=True)
+        p = direction
+        self._launch_passes(self._passes(parameters, kept), running, p, p, p, out, changing=True)
+
+    def change_and_smooth(
+        self,
+        direction: Field,
+        parameters: Parameters,
+        running: Field,
+        kept: object,
+        smoother: tuple[float, float, Field, Field, Field],
+    ) -> None:
+        """`change`, and with it the next direction. smoother: see `lattice_kernels.Smoothing`"""
+        passes, p = self._passes(parameters, kept), direction
+        smoothing = self.arrays.functions.Smoothing()
+        smoothing.on, (smoothing.keep, smoothing.gain, smoothing.shrink, smoothing.z, smoothing.left) = 1, smoother
+        passes.smoothing = smoothing
+        self._launch_passes(passes, running, p, p, p, p, changing=True)
+
+    def look_ahead(self, u: Field, before: Field, star: Field, motion: object, running: Field) -> None:
+        passes = self._passes(None)
+        passes.motion = motion
+        self.launch(self.arrays.kernels.look_ahead, self.grid.items_plane, [passes, running, u, before], [star])
 
     def step(
-        self, u: Field, before: Field, motion: object, parameters: Parameters, running: Field, ran_away: Field
+        self,
+        u: Field,
+        before: Field,
+        star: Field,
+        motion: object,
+        parameters: Parameters,
+        running: Field,
+        ran_away: Field,
     ) -> None:
         passes = self._passes(parameters)
         passes.motion, passes.ran_away = motion, ran_away
-        self._launch_passes(passes, running, u, before, before, changing=False)
+        self._launch_passes(passes, running, u, before, star, before, changing=False)
 
     def cluster_values(self, values: FloatArray) -> Field:
         """(B, C) one value for each cluster, as the kernels read them."""
@@ -287,7 +327,7 @@ class LatticeOperator(Operator):
     def stay_stepping(
         self, pair: Field, swapped: bool, motion: object, parameters: Parameters, steps: int, ran_away: Field
     ) -> None:
-        """`steps` time steps in one launch, of the displacement and the one before in the halves of `pair`."""
+        """`steps` time steps in one launch, of the displacement, the one before and x* in the parts of `pair`."""
         passes = self._stepping
         self._set(passes, parameters)
         passes.motion, passes.pair, passes.ran_away = motion, pair, ran_away
@@ -326,20 +366,20 @@ class LatticeOperator(Operator):
         fields.beta_stride, fields.volume, fields.what = parameters.beta_stride, parameters.volume, what
 
     def _launch_passes(
-        self, passes: object, running: Field, u: Field, before: Field, out: Field, *, changing: bool
+        self, passes: object, running: Field, u: Field, before: Field, star: Field, out: Field, *, changing: bool
     ) -> None:
         """All passes over the groups that run; on a GPU one by one."""
-        kk, grid, both = self.arrays.kernels, self.grid, self.arrays.functions.both
+        kk, grid = self.arrays.kernels, self.grid
         if kk is None:
             inputs = [passes, running, int(changing), u, out]
             wp.launch(self.resident.goals, self.layout.groups, inputs, device=self.layout.device)
             return
-        self.launch(kk.windows_fast, grid.items_windows if both else grid.items_plane, [passes, running, u, before])
-        if not both:
+        if not self.looks_ahead:
+            self.launch(kk.windows_fast, grid.items_plane, [passes, running, u, before])
             self.launch(kk.windows_middle, grid.items_windows, [passes, running])
-        self.launch(kk.fit_changes if changing else kk.fit_clusters, grid.items_fit, [passes, running])
-        if self.dim == 3:
+        self.launch(kk.fit_changes if changing else kk.fit_clusters, grid.items_fit, [passes, running, star])
+        if self.dim == 3 and not self.looks_ahead:
             self.launch(kk.spread_slow, grid.items_slow, [passes, running])
-        if not both:
+        if not self.looks_ahead:
             self.launch(kk.spread_middle, grid.items_spread, [passes, running])
-        self.launch(kk.finish, grid.items_plane, [passes, running, u, before], [out])
+        self.launch(kk.finish, grid.items_back, [passes, running, u, before, star], [out])

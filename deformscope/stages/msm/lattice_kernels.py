@@ -20,8 +20,9 @@ from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
 from deformscope.stages.msm.lanes import Ints, lanes_for, product_for, rows_for
 from deformscope.stages.msm.members import kernel_in, members
 
-BOTH = 4
-"""Widest windows that a GPU sums up along two axes at once; of wider ones that takes longer than one more pass."""
+WHOLE = 27
+"""Most cells of a window that a GPU sums up along all axes at once; for larger ones that takes longer than a pass for
+each axis."""
 
 FAR = 1e4
 """Spacings beyond which a particle has run away."""
@@ -60,8 +61,8 @@ def lattice_types_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
         times `abreast`; abreast: candidates side by side in the lanes (1: cells side by side); front: numbers before
         the first place of a field; group: numbers from one group of candidates to the next; stride: from one row of a
         field to the next; window_0...: cells of a cluster along the axis; cluster_end: numbers that the clusters of a
-        plane fill; run_0, run_1: cells of a sliding sum along an axis; items_*: of a pass, in a group; blocks_*: of
-        these, in a plane (or a line)"""
+        plane fill; run_0, run_1: cells of a sliding sum along an axis, run_back: of `finish` over whole windows;
+        items_*: of a pass, in a group; blocks_*: of these, in a plane (or a line)"""
 
         cells_0: int
         cells_1: int
@@ -88,6 +89,8 @@ def lattice_types_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
         items_fit: int
         items_slow: int
         items_spread: int
+        run_back: int
+        items_back: int
 
     @wp.struct
     class Site:
@@ -127,11 +130,25 @@ def lattice_types_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
         what: int
 
     @wp.struct
+    class Smoothing:
+        """A step of Chebyshev's iteration: see `multigrid_kernels.smoother_for`.
+
+        on: whether `finish` takes it; shrink: 1 / largest eigenvalue of each candidate"""
+
+        on: int
+        keep: scalar
+        gain: scalar
+        shrink: numbers
+        z: numbers
+        left: numbers
+
+    @wp.struct
     class Passes:
         """Parameters of the passes; motion: those of time stepping, or none.
 
         pair: the displacement, and the direction or the displacement one step before, as one field; pair_out: the
-        residual and the direction's change; threads: number of threads of a resident block"""
+        residual and the direction's change; threads: number of threads of a resident block; smoothing: with what the
+        passes found, on a GPU over whole windows"""
 
         grid: Grid
         site: Site
@@ -139,25 +156,28 @@ def lattice_types_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
         kept: cluster.Kept
         fields: Fields
         motion: Motion
+        smoothing: Smoothing
         threads: int
         pair: numbers
         pair_out: numbers
         ran_away: Ints
 
-    return members(Grid, Site, Fields, Passes, Motion=Motion)
+    return members(Grid, Site, Fields, Smoothing, Passes, Motion=Motion)
 
 
 @dataclass(frozen=True, eq=False)
 class PassHelpers:
     """What the functions of all passes share.
 
-    both: whether windows along the fast and the middle axis are summed together; vecs, maps: rows of vectors and of
-    matrices of lanes; types: see `lattice_types_for`; all others: functions of `pass_helpers_for`"""
+    window: cells along every axis, or 0; whole: whether windows are summed along all axes at once, from predicted
+    displacements (eq. 3.1, 3.2) that the step before leaves; vecs, maps: rows of vectors and of matrices of lanes;
+    types: see `lattice_types_for`; all others: functions of `pass_helpers_for`"""
 
     dim: int
     scalar: Any
     width: int
-    both: bool
+    window: int
+    whole: bool
     numbers: Any
     lanes: SimpleNamespace
     vecs: SimpleNamespace
@@ -230,9 +250,9 @@ def pass_helpers_for(dim: int, scalar: Any, width: int, window: int) -> PassHelp
         return own(values, cell / abreast, 0)
 
     @wp.func
-    def ahead(grid: Grid, u: vecs.rows, before_in: numbers, motion: Motion, free: numbers, here: int, cell: int):
+    def ahead(grid: Grid, u: vecs.rows, before: vecs.rows, motion: Motion, free: numbers, cell: int):
         """x* of eq. 3.1, 3.2: where the last motion and the push would take a free particle."""
-        back = vecs.add(u, -one, vecs.load(before_in, here, grid.stride))
+        back = vecs.add(u, -one, before)
         moves = vecs.rows()
         moves = vecs.add(moves, motion.going_on, back)
         for k in range(wp.static(dim)):
@@ -243,7 +263,8 @@ def pass_helpers_for(dim: int, scalar: Any, width: int, window: int) -> PassHelp
         dim=dim,
         scalar=scalar,
         width=width,
-        both=0 < window <= BOTH,
+        window=window,
+        whole=0 < window**dim <= WHOLE,
         numbers=numbers,
         lanes=lanes,
         vecs=vecs,
@@ -260,53 +281,34 @@ def pass_helpers_for(dim: int, scalar: Any, width: int, window: int) -> PassHelp
 
 
 def windows_fast_for(helpers: PassHelpers) -> Any:
-    """The pass along the fast axis, and for narrow windows along the middle axis too."""
-    dim, scalar, both, numbers, vecs = helpers.dim, helpers.scalar, helpers.both, helpers.numbers, helpers.vecs
+    """The pass along the fast axis."""
+    dim, scalar, numbers, vecs = helpers.dim, helpers.scalar, helpers.numbers, helpers.vecs
     Passes, one = helpers.types.Passes, scalar(1.0)
-    middle, cells_of, plane_share, share_of = helpers.middle, helpers.cells_of, helpers.plane_share, helpers.share_of
-    particle_own, ahead = helpers.particle_own, helpers.ahead
+    middle, cells_of, particle_own = helpers.middle, helpers.cells_of, helpers.particle_own
 
     @wp.func
     def windows_fast(
         passes: Passes, u_in: numbers, offset: int, before_in: numbers, before_offset: int, group: int, item: int
     ):
-        """Windows along the fast axis of m u, or of m x* (eq. 3.1, 3.2): sum, first moment.
-
-        Narrow windows along the middle axis too: see `windows_middle`."""
+        """Windows along the fast axis of m u, or of m x* (eq. 3.1, 3.2): sum, first moment."""
         grid = passes.grid
         fields = passes.fields
-        motion = passes.motion
-        if wp.static(both):
-            cell, _steps, count = share_of(grid, item, grid.items_windows, grid.blocks_windows, grid.clusters_1)
-            lines = cells_of(grid.window_1)
-        else:
-            cell, count = plane_share(grid, item)
-            lines = int(1)
+        cell, count = helpers.plane_share(grid, item)
         at = grid.front + group * grid.group + cell
-        d = wp.static(dim)
-        h_1, h = middle(cells_of(grid.window_1)), middle(cells_of(grid.window_2))
+        h = middle(cells_of(grid.window_2))
         total = vecs.rows()
-        mid = vecs.rows()
         fast = vecs.rows()
-        for j in range(lines):
-            along = vecs.rows()
-            for k in range(cells_of(grid.window_2)):
-                away = j * grid.line + k * grid.abreast
-                v = vecs.load(u_in, offset + at + away, grid.stride)
-                if motion.stepping != 0:
-                    v = ahead(grid, v, before_in, motion, fields.free, before_offset + at + away, cell + away)
-                v = vecs.scale(v, particle_own(fields.mass, cell + away, grid.abreast))
-                along = vecs.add(along, one, v)
-                fast = vecs.add(fast, scalar(k) - h, v)
-            total = vecs.add(total, one, along)
-            mid = vecs.add(mid, scalar(j) - h_1, along)
-        if wp.static(both):
-            vecs.store(fields.sums_middle, at, grid.stride, total, count)
-            vecs.store(fields.sums_middle, at + d * grid.stride, grid.stride, mid, count)
-            vecs.store(fields.sums_middle, at + 2 * d * grid.stride, grid.stride, fast, count)
-        else:
-            vecs.store(fields.sums_fast, at, grid.stride, total, count)
-            vecs.store(fields.sums_fast, at + d * grid.stride, grid.stride, fast, count)
+        for k in range(cells_of(grid.window_2)):
+            away = k * grid.abreast
+            v = vecs.load(u_in, offset + at + away, grid.stride)
+            if passes.motion.stepping != 0:
+                before = vecs.load(before_in, before_offset + at + away, grid.stride)
+                v = helpers.ahead(grid, v, before, passes.motion, fields.free, cell + away)
+            v = vecs.scale(v, particle_own(fields.mass, cell + away, grid.abreast))
+            total = vecs.add(total, one, v)
+            fast = vecs.add(fast, scalar(k) - h, v)
+        vecs.store(fields.sums_fast, at, grid.stride, total, count)
+        vecs.store(fields.sums_fast, at + wp.static(dim) * grid.stride, grid.stride, fast, count)
 
     return windows_fast
 
@@ -427,7 +429,8 @@ def fit_for(helpers: PassHelpers, functions: SimpleNamespace, changing: bool, na
     or with `changing` its derivative along them; functions: those that `map_functions_for` returns"""
     dim, scalar, width, vecs, maps = helpers.dim, helpers.scalar, helpers.width, helpers.vecs, helpers.maps
     Passes, lane, own, one = helpers.types.Passes, helpers.lanes.lane, helpers.lanes.own, scalar(1.0)
-    middle, cells_of, run_of = helpers.middle, helpers.cells_of, helpers.run_of
+    middle, cells_of, run_of, particle_own = helpers.middle, helpers.cells_of, helpers.run_of, helpers.particle_own
+    numbers = helpers.numbers
     cluster = cluster_functions_for(dim, dim, scalar, width)
     product = product_for(dim, dim, dim, width, scalar)
     moments_own = rows_for(dim * (dim + 1) // 2, width, scalar).own
@@ -464,8 +467,49 @@ def fit_for(helpers: PassHelpers, functions: SimpleNamespace, changing: bool, na
         vecs.store(fields.maps, at, grid.stride, functions.shift_of(total, share, mean, slopes, valid), count)
         maps.store(fields.maps, at + wp.static(dim) * grid.stride, grid.stride, maps.choose(valid, slopes), count)
 
+    @wp.func(name=f"{name}_whole")
+    def whole(passes: Passes, u_in: numbers, offset: int, group: int, item: int):
+        """Windows along all axes, and with them each cluster's map."""
+        grid = passes.grid
+        segment = item / grid.blocks_clusters
+        in_plane = item - segment * grid.blocks_clusters
+        first = segment * grid.plane + in_plane
+        at = grid.front + group * grid.group + first
+        side = cells_of(grid.window_1)
+        planes = cells_of(grid.window_0)
+        if wp.static(dim == 2):
+            planes = int(1)
+        h = middle(side)
+        total = vecs.rows()
+        slow = vecs.rows()
+        mid = vecs.rows()
+        fast = vecs.rows()
+        for i in range(planes):
+            here = vecs.rows()
+            mid_here = vecs.rows()
+            fast_here = vecs.rows()
+            for j in range(side):
+                along = vecs.rows()
+                for k in range(side):
+                    away = i * grid.plane + j * grid.line + k
+                    v = vecs.load(u_in, offset + at + away, grid.stride)
+                    v = vecs.scale(v, particle_own(passes.fields.mass, first + away, 1))
+                    along = vecs.add(along, one, v)
+                    fast_here = vecs.add(fast_here, scalar(k) - h, v)
+                here = vecs.add(here, one, along)
+                mid_here = vecs.add(mid_here, scalar(j) - h, along)
+            total = vecs.add(total, one, here)
+            slow = vecs.add(slow, scalar(i) - h, here)
+            mid = vecs.add(mid, one, mid_here)
+            fast = vecs.add(fast, one, fast_here)
+        if wp.static(dim == 2):
+            slow = mid
+            mid = fast
+        moments = functions.stacked(slow, mid, fast)
+        solve(passes, at, first, group, total, moments, grid.cluster_end - in_plane)
+
     @wp.func(name=name)
-    def windows(passes: Passes, group: int, item: int):
+    def windows(passes: Passes, u_in: numbers, offset: int, group: int, item: int):
         """Windows along the slow axis, and with them each cluster's map."""
         grid = passes.grid
         segment = item / grid.blocks_clusters
@@ -511,7 +555,7 @@ def fit_for(helpers: PassHelpers, functions: SimpleNamespace, changing: bool, na
                     fast = vecs.add(fast, -one, vecs.load(source, place + 2 * d * grid.stride, grid.stride))
                     fast = vecs.add(fast, one, vecs.load(source, place + 2 * d * grid.stride + over, grid.stride))
 
-    return windows
+    return whole if helpers.whole else windows
 
 
 def spreads_for(helpers: PassHelpers) -> tuple[Any, Any]:
@@ -593,7 +637,7 @@ def spreads_for(helpers: PassHelpers) -> tuple[Any, Any]:
 
 def finish_for(helpers: PassHelpers) -> Any:
     """The last pass, along the fast axis (and for narrow windows along the middle axis too)."""
-    dim, scalar, width, both = helpers.dim, helpers.scalar, helpers.width, helpers.both
+    dim, scalar, width, window, whole = helpers.dim, helpers.scalar, helpers.width, helpers.window, helpers.whole
     numbers, lanes, vecs = helpers.numbers, helpers.lanes, helpers.vecs
     Passes, one, far = helpers.types.Passes, scalar(1.0), scalar(FAR)
     middle, cells_of, plane_share = helpers.middle, helpers.cells_of, helpers.plane_share
@@ -614,63 +658,64 @@ def finish_for(helpers: PassHelpers) -> Any:
         return new
 
     @wp.func
-    def finish(
+    def residual_of(passes: Passes, total: vecs.rows, u: vecs.rows, cell: int):
+        """From the sum over a particle's clusters to its mean goal (eq. 3.15), less where it is; 0 if held."""
+        grid = passes.grid
+        fields = passes.fields
+        goal = vecs.scale(total, particle_own(fields.pull, cell, grid.abreast))
+        if fields.what == wp.static(GOAL):
+            goal = vecs.add(goal, -one, vecs.scale(u, particle_own(fields.free, cell, grid.abreast)))
+        for i in range(wp.static(dim)):
+            if i == fields.held_axis:
+                goal = vecs.with_row(goal, i, times(vecs.row(goal, i), particle_own(fields.sides, cell, grid.abreast)))
+        return goal
+
+    @wp.func
+    def conclude(
         passes: Passes,
+        total: vecs.rows,
         u_in: numbers,
         offset: int,
         before_in: numbers,
         before_offset: int,
+        star: numbers,
+        star_offset: int,
         goals_out: numbers,
         group: int,
-        item: int,
+        cell: int,
+        count: int,
     ):
-        """Along the fast axis, and with it the mean goal of each particle (eq. 3.15), less where it is; 0 if held.
+        """`residual_of`, or stepping (eq. 3.11) the new position, which may take the place of the one before.
 
-        Stepping, eq. 3.11: the new position, which may take the place of the one before. offset: from the first number
-        of `u_in` to that of the field meant, and the same in `goals_out`; before_offset: the same of `before_in`, and
-        of `goals_out` when stepping. Narrow windows along the middle axis too: see `spread_middle`."""
+        offset: from the first number of `u_in` to that of the field meant, and the same in `goals_out`; before_offset:
+        the same of `before_in`, and of `goals_out` when stepping; star: x* of the step, then of the next, where whole
+        windows are summed"""
         grid = passes.grid
         fields = passes.fields
         motion = passes.motion
-        cell, count = plane_share(grid, item)
         at = grid.front + group * grid.group + cell
-        d = wp.static(dim)
-        h_1, h = middle(cells_of(grid.window_1)), middle(cells_of(grid.window_2))
-        if wp.static(both):
-            lines = cells_of(grid.window_1)
-        else:
-            lines = int(1)
-        total = vecs.rows()
-        for j in range(lines):
-            for k in range(cells_of(grid.window_2)):
-                here = at - j * grid.line - k * grid.abreast
-                if wp.static(both):
-                    total = vecs.add(total, one, vecs.load(fields.maps_slow, here, grid.stride))
-                    slope = vecs.load(fields.maps_slow, here + d * grid.stride, grid.stride)
-                    total = vecs.add(total, scalar(j) - h_1, slope)
-                    total = vecs.add(
-                        total, scalar(k) - h, vecs.load(fields.maps_slow, here + 2 * d * grid.stride, grid.stride)
-                    )
-                else:
-                    total = vecs.add(total, one, vecs.load(fields.maps_middle, here, grid.stride))
-                    total = vecs.add(
-                        total, scalar(k) - h, vecs.load(fields.maps_middle, here + d * grid.stride, grid.stride)
-                    )
-        goal = vecs.scale(total, particle_own(fields.pull, cell, grid.abreast))
         u = vecs.load(u_in, offset + at, grid.stride)
-        is_free = particle_own(fields.free, cell, grid.abreast)
         if motion.stepping == 0:
-            if fields.what == wp.static(GOAL):
-                goal = vecs.add(goal, -one, vecs.scale(u, is_free))
-            for i in range(wp.static(dim)):
-                if i == fields.held_axis:
-                    goal = vecs.with_row(
-                        goal, i, times(vecs.row(goal, i), particle_own(fields.sides, cell, grid.abreast))
-                    )
-            vecs.store(goals_out, offset + at, grid.stride, goal, count)
+            found = residual_of(passes, total, u, cell)
+            if wp.static(whole):
+                smoothing = passes.smoothing
+                if smoothing.on != 0:
+                    left = vecs.add(vecs.load(smoothing.left, at, grid.stride), one, found)
+                    vecs.store(smoothing.left, at, grid.stride, left, count)
+                    left = vecs.scale(left, lanes.own(smoothing.shrink, group, 0))
+                    found = vecs.add(vecs.add(vecs.rows(), smoothing.keep, u), smoothing.gain, left)
+                    z = vecs.add(vecs.load(smoothing.z, at, grid.stride), one, found)
+                    vecs.store(smoothing.z, at, grid.stride, z, count)
+            vecs.store(goals_out, offset + at, grid.stride, found, count)
         else:
-            star = ahead(grid, u, before_in, motion, fields.free, before_offset + at, cell)
-            new = vecs.add(star, motion.alpha, vecs.add(goal, -one, vecs.scale(star, is_free)))
+            goal = vecs.scale(total, particle_own(fields.pull, cell, grid.abreast))
+            is_free = particle_own(fields.free, cell, grid.abreast)
+            if wp.static(whole):
+                x = vecs.load(star, star_offset + at, grid.stride)
+            else:
+                before = vecs.load(before_in, before_offset + at, grid.stride)
+                x = ahead(grid, u, before, motion, fields.free, cell)
+            new = vecs.add(x, motion.alpha, vecs.add(goal, -one, vecs.scale(x, is_free)))
             length2 = lane()
             for i in range(wp.static(dim)):
                 length2 += times(vecs.row(new, i), vecs.row(new, i))
@@ -678,23 +723,150 @@ def finish_for(helpers: PassHelpers) -> Any:
                 first, step = group * grid.abreast, wp.min(grid.abreast - 1, 1)
                 new = hold_back(new, u, passes.ran_away, first, step, count)
             vecs.store(goals_out, before_offset + at, grid.stride, new, count)
+            if wp.static(whole):
+                x = ahead(grid, new, u, motion, fields.free, cell)
+                vecs.store(star, star_offset + at, grid.stride, x, count)
 
-    return finish
+    @wp.func
+    def finish(
+        passes: Passes,
+        u_in: numbers,
+        offset: int,
+        before_in: numbers,
+        before_offset: int,
+        star: numbers,
+        star_offset: int,
+        goals_out: numbers,
+        group: int,
+        item: int,
+    ):
+        """Along the fast axis, and `conclude`."""
+        grid = passes.grid
+        source = passes.fields.maps_middle
+        cell, count = plane_share(grid, item)
+        at = grid.front + group * grid.group + cell
+        h = middle(cells_of(grid.window_2))
+        total = vecs.rows()
+        for k in range(cells_of(grid.window_2)):
+            here = at - k * grid.abreast
+            total = vecs.add(total, one, vecs.load(source, here, grid.stride))
+            slope = vecs.load(source, here + wp.static(dim) * grid.stride, grid.stride)
+            total = vecs.add(total, scalar(k) - h, slope)
+        conclude(
+            passes, total, u_in, offset, before_in, before_offset, star, star_offset, goals_out, group, cell, count
+        )
+
+    @wp.func
+    def plane_sums(passes: Passes, at: int):
+        """Over the clusters of a plane: their shifts with the slopes in it, and in space their slopes across it."""
+        grid = passes.grid
+        maps = passes.fields.maps
+        d = wp.static(dim)
+        h = middle(cells_of(grid.window_2))
+        total = vecs.rows()
+        across = vecs.rows()
+        for j in range(cells_of(grid.window_1)):
+            for k in range(cells_of(grid.window_2)):
+                here = at - j * grid.line - k
+                total = vecs.add(total, one, vecs.load(maps, here, grid.stride))
+                if wp.static(dim == 3):
+                    across = vecs.add(across, one, vecs.load(maps, here + d * grid.stride, grid.stride))
+                along = vecs.load(maps, here + wp.static((dim - 1) * dim) * grid.stride, grid.stride)
+                total = vecs.add(total, scalar(j) - h, along)
+                total = vecs.add(total, scalar(k) - h, vecs.load(maps, here + d * d * grid.stride, grid.stride))
+        return total, across
+
+    @wp.func
+    def finish_planes(
+        passes: Passes,
+        u_in: numbers,
+        offset: int,
+        before_in: numbers,
+        before_offset: int,
+        star: numbers,
+        star_offset: int,
+        goals_out: numbers,
+        group: int,
+        item: int,
+    ):
+        """`finish` over whole windows: a thread goes along the slow axis, and keeps the sums of the last planes."""
+        grid = passes.grid
+        segment = item / grid.plane
+        in_plane = item - segment * grid.plane
+        first = segment * grid.run_back
+        base = grid.front + group * grid.group + in_plane
+        h = middle(cells_of(grid.window_0))
+        last_total = vecs.rows()
+        last_across = vecs.rows()
+        older_total = vecs.rows()
+        older_across = vecs.rows()
+        for plane in range(
+            first - wp.static(window - 1 if dim == 3 else 0), wp.min(first + grid.run_back, grid.cells_0)
+        ):
+            found, across = plane_sums(passes, base + plane * grid.plane)
+            total = found
+            if plane >= first:
+                if wp.static(dim == 3):
+                    found = vecs.add(vecs.add(found, -h, across), one, last_total)
+                    found = vecs.add(found, one - h, last_across)
+                if wp.static(dim == 3 and window == 3):
+                    found = vecs.add(vecs.add(found, one, older_total), h, older_across)
+                cell = plane * grid.plane + in_plane
+                conclude(
+                    passes, found, u_in, offset, before_in, before_offset, star, star_offset, goals_out, group, cell, 1
+                )
+            older_total = last_total
+            older_across = last_across
+            last_total = total
+            last_across = across
+
+    return finish_planes if whole else finish
+
+
+def look_ahead_for(helpers: PassHelpers) -> Any:
+    """The pass that begins time stepping."""
+    numbers, vecs, ahead = helpers.numbers, helpers.vecs, helpers.ahead
+    Passes = helpers.types.Passes
+
+    @wp.func
+    def look_ahead(
+        passes: Passes,
+        u_in: numbers,
+        offset: int,
+        before_in: numbers,
+        before_offset: int,
+        star: numbers,
+        star_offset: int,
+        group: int,
+        item: int,
+    ):
+        """x* of the first step (eq. 3.1, 3.2)."""
+        grid = passes.grid
+        cell, count = helpers.plane_share(grid, item)
+        at = grid.front + group * grid.group + cell
+        before = vecs.load(before_in, before_offset + at, grid.stride)
+        u = vecs.load(u_in, offset + at, grid.stride)
+        x = ahead(grid, u, before, passes.motion, passes.fields.free, cell)
+        vecs.store(star, star_offset + at, grid.stride, x, count)
+
+    return look_ahead
 
 
 @functools.cache
 def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) -> SimpleNamespace:
     """The passes for `dim` = 2 or 3, scalar = wp.float32 or wp.float64, and lanes of `width`.
 
-    window: cells of a cluster along every axis, each summed separately, narrow ones along two axes together: a GPU then
+    window: cells of a cluster along every axis, each summed separately, narrow ones along all axes together: a GPU then
     loads all its numbers together, and waits for fewer passes; 0: any windows and runs, given by the grid"""
     helpers = pass_helpers_for(dim, scalar, width, window)
     maps = map_functions_for(helpers)
     return members(
-        *(windows_fast_for(helpers), windows_middle_for(helpers), *spreads_for(helpers), finish_for(helpers)),
+        *(windows_fast_for(helpers), windows_middle_for(helpers), *spreads_for(helpers)),
+        look_ahead_for(helpers),
+        finish=finish_for(helpers),
         fit_clusters=fit_for(helpers, maps, False, "fit_clusters"),
         fit_changes=fit_for(helpers, maps, True, "fit_changes"),
-        both=helpers.both,
+        whole=helpers.whole,
         **vars(helpers.types),
     )
 
@@ -714,16 +886,22 @@ def lattice_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> S
             functions.windows_fast(passes, u_in, 0, before_in, 0, group, item)
 
     @kernel
-    def finish(passes: Passes, running: Ints, u_in: numbers, before_in: numbers, out: numbers):
+    def look_ahead(passes: Passes, running: Ints, u_in: numbers, before_in: numbers, star: numbers):
         group, item = wp.tid()
         if running[group] != 0:
-            functions.finish(passes, u_in, 0, before_in, 0, out, group, item)
+            functions.look_ahead(passes, u_in, 0, before_in, 0, star, 0, group, item)
 
-    def pass_of(name: str, **options: Any) -> Any:
+    @kernel
+    def finish(passes: Passes, running: Ints, u_in: numbers, before_in: numbers, star: numbers, out: numbers):
+        group, item = wp.tid()
+        if running[group] != 0:
+            functions.finish(passes, u_in, 0, before_in, 0, star, 0, out, group, item)
+
+    def pass_of(name: str) -> Any:
         """The kernel of a pass over fields that passes leave to each other."""
         function = getattr(functions, name)
 
-        @kernel(name=name, **options)
+        @kernel(name=name)
         def one_pass(passes: Passes, running: Ints):
             group, item = wp.tid()
             if running[group] != 0:
@@ -731,7 +909,19 @@ def lattice_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> S
 
         return one_pass
 
-    many: Any = {"launch_bounds": (256, 2)}  # else too few threads fit to hide what they wait for
-    fits = (pass_of(name, **many) for name in ("fit_clusters", "fit_changes"))
+    def fit_of(name: str) -> Any:
+        """The kernel that ends the window sums of a field."""
+        function = getattr(functions, name)
+
+        # else too few threads fit to hide what they wait for
+        @kernel(name=name, launch_bounds=(256, 2))
+        def fit(passes: Passes, running: Ints, u_in: numbers):
+            group, item = wp.tid()
+            if running[group] != 0:
+                function(passes, u_in, 0, group, item)
+
+        return fit
+
+    fits = (fit_of(name) for name in ("fit_clusters", "fit_changes"))
     passes = (pass_of(name) for name in ("windows_middle", "spread_slow", "spread_middle"))
-    return members(windows_fast, finish, *passes, *fits)
+    return members(windows_fast, look_ahead, finish, *passes, *fits)

@@ -1,5 +1,6 @@
 """Where the numbers of all candidates lie: fields are structures of arrays, candidates abreast or one after another."""
 
+import weakref
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -8,6 +9,7 @@ import warp as wp
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.stages.msm.lanes import LANES
+from deformscope.stages.msm.layout_kernels import packing_for
 
 Field: TypeAlias = "wp.array[Any]"
 """Numbers on a device, of a scalar type that is chosen at run time."""
@@ -22,7 +24,7 @@ class Layout:
     `group` numbers apart. A group is a sequence of places, each with `abreast` candidates.
 
     width: lanes; abreast: 1 (the lanes are places) or `width` (the lanes are candidates); places: number of places in a
-    group; place: (K,) place of each particle"""
+    group; place: (K,) place of each particle; there: the same on a GPU, where it packs what is copied, else None"""
 
     candidates: int
     width: int
@@ -34,6 +36,7 @@ class Layout:
     place: IntArray
     scalar: Any
     device: str
+    there: Any = None
 
     @property
     def groups(self) -> int:
@@ -51,6 +54,16 @@ class Layout:
     def put(self, values: FloatArray, into: Field) -> None:
         """(B or 1, K, d) into a field's particles; the last candidate fills the rest of its group."""
         d = values.shape[2]
+        if self.there is not None:
+            given: Any = wp.array(np.ascontiguousarray(values, np.float64).reshape(-1), device=self.device)
+            wp.launch(
+                packing_for(self.scalar).unpack,
+                (self.candidates, len(self.place)),
+                [given, int(len(values) > 1), self.there, d, self.front, self.group, self.stride],
+                [into],
+                device=self.device,
+            )
+            return
         host = np.zeros((d, self.stride), dtype=_dtype(self.scalar))
         body = host[:, self.front : self.front + self.groups * self.group].reshape(d, self.groups, -1, self.abreast)
         filled = np.broadcast_to(values, (self.candidates, *values.shape[1:]))
@@ -62,11 +75,25 @@ class Layout:
 
     def get(self, field: Field, rows: int, place: IntArray | None = None) -> FloatArray:
         """The particles of a field, or values at other places (K,): (B, K, rows) float64."""
+        if self.there is not None and place is None:
+            out = wp.empty(self.candidates * len(self.place) * rows, dtype=wp.float64, device=self.device)
+            self._pack(field, rows, out)
+            return np.asarray(out.numpy().reshape(-1, len(self.place), rows))
         place = self.place if place is None else place
         host = field.numpy().reshape(rows, self.stride)
         body = host[:, self.front : self.front + self.groups * self.group].reshape(rows, self.groups, -1, self.abreast)
         found = np.array(body[:, :, place].transpose(1, 3, 2, 0), dtype=np.float64, order="C")
         return found.reshape(-1, len(place), rows)[: self.candidates]
+
+    def _pack(self, field: Field, rows: int, out: Field, scale: float = 1.0, origin: Any = None) -> None:
+        """origin (K, rows) + scale * the particles of a field, into float64 on the device."""
+        wp.launch(
+            packing_for(self.scalar).pack,
+            (self.candidates, len(self.place)),
+            [field, self.there, rows, self.front, self.group, self.stride, wp.float64(scale), origin],
+            [out],
+            device=self.device,
+        )
 
     def each(self, values: FloatArray, dtype: type[Any] | None = None) -> Field:
         """One number for each candidate, (B,); the last one is repeated to the end."""
@@ -103,6 +130,31 @@ def upload(values: FloatArray | IntArray | BoolArray, dtype: type[Any], device: 
     host = np.zeros(np.size(values) + spare, dtype=_dtype(dtype))
     host[: np.size(values)] = np.ravel(values)
     return wp.array(host, dtype=dtype, device=device)
+
+
+class HostCopies:
+    """Float64 copies on the host of what a GPU packs, in pinned memory that is used again once an array is gone."""
+
+    KEPT = 2
+
+    def __init__(self, size: int, device: str) -> None:
+        self._packed = wp.empty(size, dtype=wp.float64, device=device)
+        self._free: list[Field] = []
+
+    def take(self, layout: Layout, field: Field, rows: int, scale: float, origin: Field) -> FloatArray:
+        """(B, K, rows): origin (K, rows) + scale * the particles of a field."""
+        layout._pack(field, rows, self._packed, scale, origin)
+        size = self._packed.shape[0]
+        host = self._free.pop() if self._free else wp.empty(size, dtype=wp.float64, device="cpu", pinned=True)
+        wp.copy(host, self._packed)
+        wp.synchronize_stream(wp.get_stream(layout.device))
+        found: FloatArray = host.numpy()
+        weakref.finalize(found, self._take_back, host).atexit = False
+        return found.reshape(-1, len(layout.place), rows)
+
+    def _take_back(self, host: Field) -> None:
+        if len(self._free) < self.KEPT:
+            self._free.append(host)
 
 
 def _dtype(scalar: type[Any]) -> Any:

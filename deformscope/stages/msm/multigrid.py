@@ -280,7 +280,7 @@ class Multigrid:
             transfer.begin, transfer.plane = upload(weights.indptr, int, device), upload(weights.indices, int, device)
             transfer.weight = upload(weights.data, wp.float32, device)
             given = [each if isinstance(each, wp.array) else upload(each, wp.float32, device) for each in fields]
-            dim = (target.layout.groups * target.layout.abreast, target.body.count)
+            dim = (target.layout.groups * target.layout.abreast, target.body.dim, target.body.count)
             inputs = [transfer, source.place, target.place, *given]
             return functools.partial(wp.launch, self.kernels.gather, dim, inputs, [out], device=device)
 
@@ -360,7 +360,6 @@ class Multigrid:
         self._visit(index + 1, running)
         correct()
         self._step(level, running, 1.0, 0.0)  # along what came back
-        self._change(level, running)
         self._smooth(level, running, DEGREE, RANGE, begins=False)
 
     def _smooth(self, level: _Level, running: Field, steps: int, ratio: float, *, begins: bool) -> None:
@@ -368,9 +367,10 @@ class Multigrid:
         half, middle = (1.0 - 1.0 / ratio) / 2.0, (1.0 + 1.0 / ratio) / 2.0
         rho, keep, gain = half / middle, 0.0, 1.0 / middle
         for step in range(steps):
-            if step > 0:
-                self._change(level, running)
-            self._step(level, running, keep, gain, begins=begins and step == 0)
+            if begins and step == 0:
+                self._step(level, running, keep, gain, begins=True)
+            else:
+                self._change_and_step(level, running, keep, gain)
             after = 1.0 / (2.0 * middle / half - rho)
             keep, gain, rho = after * rho, 2.0 * after / half, after
 
@@ -380,6 +380,15 @@ class Multigrid:
         inputs += [level.changed, level.z, level.left, level.direction]
         dim = (level.layout.groups, level.layout.blocks)
         wp.launch(level.smooth, dim, inputs, device=level.layout.device)
+
+    def _change_and_step(self, level: _Level, running: Field, keep: float, gain: float) -> None:
+        if level.operator.looks_ahead:
+            smoother = keep, gain, level.shrink, level.z, level.left
+            flags = self._flags(level, running)
+            level.operator.change_and_smooth(level.direction, level.parameters, flags, level.kept, smoother)
+            return
+        self._change(level, running)
+        self._step(level, running, keep, gain)
 
     def _change(self, level: _Level, running: Field) -> None:
         level.operator.change(level.direction, level.changed, level.parameters, self._flags(level, running), level.kept)

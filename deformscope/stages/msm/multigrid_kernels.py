@@ -42,7 +42,6 @@ def transfer_kernels_for(dim: int, scalar: Any) -> SimpleNamespace:
     """The kernels for fields of `dim` rows; `scalar` is that of the fields that are preconditioned."""
     numbers = wp.array(dtype=wp.float32)
     kernel = kernel_in(f"transfer_{dim}d_{scalar.__name__}", wp.float32)
-    vec = wp.types.vector(length=dim, dtype=wp.float32)
 
     @wp.func
     def at(place: Cells, candidate: int, cell: int):
@@ -74,26 +73,27 @@ def transfer_kernels_for(dim: int, scalar: Any) -> SimpleNamespace:
         # Out:
         out: numbers,
     ):
-        candidate, cell = wp.tid()
+        candidate, row, cell = wp.tid()
         t0 = cell / (target.cells_1 * target.cells_2)
         rest = cell - t0 * target.cells_1 * target.cells_2
         t1 = target.cells_0 + rest / target.cells_2
         t2 = target.cells_0 + target.cells_1 + rest % target.cells_2
-        total = vec()
+        total = wp.float32(0.0)
         if target_weight[cell] > wp.float32(0.0):
+            # planes of the source follow each other: their numbers are not loaded one by one
+            c0 = transfer.begin[t2]
+            many = transfer.begin[t2 + 1] - c0
+            plane = transfer.plane[c0] - source.cells_0 - source.cells_1
+            last = source.cells_2 - 1
             for a in range(transfer.begin[t0], transfer.begin[t0 + 1]):
                 for b in range(transfer.begin[t1], transfer.begin[t1 + 1]):
                     w1 = transfer.weight[a] * transfer.weight[b]
                     line = (transfer.plane[a] * source.cells_1 + transfer.plane[b] - source.cells_0) * source.cells_2
-                    for c in range(transfer.begin[t2], transfer.begin[t2 + 1]):
-                        own = line + transfer.plane[c] - source.cells_0 - source.cells_1
-                        w = w1 * transfer.weight[c] * source_weight[own]
-                        i = at(source, candidate, own)
-                        for k in range(wp.static(dim)):
-                            total[k] += w * (values[i + k * source.stride] + more[i + k * source.stride])
-        o = at(target, candidate, cell)
-        for k in range(wp.static(dim)):
-            out[o + k * target.stride] = target_weight[cell] * total[k]
+                    for c in range(many):
+                        own = line + wp.min(plane + c, last)
+                        i = at(source, candidate, own) + row * source.stride
+                        total += w1 * transfer.weight[c0 + c] * source_weight[own] * (values[i] + more[i])
+        out[at(target, candidate, cell) + row * target.stride] = target_weight[cell] * total
 
     return members(gather, conversion("put_in", scalar, wp.float32), conversion("take_out", wp.float32, scalar))
 

@@ -67,7 +67,7 @@ def resident_for(dim: int, scalar: Any, width: int, window: int) -> Resident:
 
 def operate_for(given: Resident) -> Any:
     """The function of all passes."""
-    dim, window, lattice, meet = given.dim, given.window, given.lattice, given.meet
+    dim, lattice, meet = given.dim, given.lattice, given.meet
     numbers, Passes = wp.array(dtype=given.scalar), lattice.Passes
 
     @wp.func(inline=False if given.width > 1 else None)
@@ -76,43 +76,41 @@ def operate_for(given: Resident) -> Any:
         u: numbers,
         offset: int,
         before_offset: int,
+        star_offset: int,
         out: numbers,
         changing: int,
         group: int,
         thread: int,
     ):
-        """All passes over a group: goals (with `changing` their derivative) at `offset` of u, into out. before_offset:
-        in u, of the displacement one time step before"""
+        """All passes over a group: goals (with `changing` their derivative) at `offset` of u, into out. before_offset,
+        star_offset: in u, of the displacement one time step before, and of x*, or `offset`"""
         own = passes  # a copy, which nothing that is stored in a field can change
         grid = own.grid
         threads = own.threads
-        if wp.static(window == 0):
+        if wp.static(not lattice.whole):
             for item in range(thread, grid.items_plane, threads):
                 lattice.windows_fast(own, u, offset, u, before_offset, group, item)
             meet()
             for item in range(thread, grid.items_windows, threads):
                 lattice.windows_middle(own, group, item)
-        else:
-            for item in range(thread, grid.items_windows, threads):
-                lattice.windows_fast(own, u, offset, u, before_offset, group, item)
-        meet()
+            meet()
         if changing != 0:
             for item in range(thread, grid.items_fit, threads):
-                lattice.fit_changes(own, group, item)
+                lattice.fit_changes(own, u, star_offset, group, item)
         else:
             for item in range(thread, grid.items_fit, threads):
-                lattice.fit_clusters(own, group, item)
+                lattice.fit_clusters(own, u, star_offset, group, item)
         meet()
-        if wp.static(dim == 3):
+        if wp.static(dim == 3 and not lattice.whole):
             for item in range(thread, grid.items_slow, threads):
                 lattice.spread_slow(own, group, item)
             meet()
-        if wp.static(window == 0):
+        if wp.static(not lattice.whole):
             for item in range(thread, grid.items_spread, threads):
                 lattice.spread_middle(own, group, item)
             meet()
-        for item in range(thread, grid.items_plane, threads):
-            lattice.finish(own, u, offset, u, before_offset, out, group, item)
+        for item in range(thread, grid.items_back, threads):
+            lattice.finish(own, u, offset, u, before_offset, u, star_offset, out, group, item)
         meet()
 
     return operate
@@ -137,7 +135,7 @@ def iterate_for(given: Resident, operate: Any) -> Any:
                 for block in range(thread, span.blocks, threads):
                     f.move(span, newton, group, block)
             meet()
-            operate(passes, passes.pair, offset, 0, passes.pair_out, changing, group, thread)
+            operate(passes, passes.pair, offset, 0, offset, passes.pair_out, changing, group, thread)
             if changing != 0:
                 p = newton.direction
                 stiff, square = f.inner_products(span, p, newton.changed, p, p, group, thread, threads)
@@ -210,6 +208,7 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
     given = resident_for(dim, scalar, width, window)
     Passes, Span, NewtonState = given.types
     operate, aim_at = operate_for(given), aim_for(given)
+    whole, look_ahead, meet = given.lattice.whole, given.lattice.look_ahead, given.meet
     iterate = iterate_for(given, operate)
 
     if on_cpu:
@@ -219,21 +218,27 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
             """goal - u of every free particle; with `changing` J u - u where goals were last evaluated."""
             group = wp.tid()
             if running[group] != 0:
-                operate(passes, u_in, 0, 0, out, changing, group, 0)
+                operate(passes, u_in, 0, 0, 0, out, changing, group, 0)
 
     @steps_kernel
     def steps(passes: Passes, count: int, swapped: int):
         """`count` time steps.
 
-        The displacement is in the first half of the pair, the one before in the second; each step swaps them, and with
-        `swapped` they start swapped."""
+        The displacement is in the first part of the pair, the one before in the second, x* in the third; each step
+        swaps the first two, and with `swapped` they start swapped."""
         index = wp.tid()
         group = index / passes.threads
+        thread = index - group * passes.threads
         rows = wp.static(dim) * passes.grid.stride
         pair = passes.pair
+        if wp.static(whole):
+            offset = swapped * rows
+            for item in range(thread, passes.grid.items_plane, passes.threads):
+                look_ahead(passes, pair, offset, pair, rows - offset, pair, 2 * rows, group, item)
+            meet()
         for n in range(count):
             offset = ((n + swapped) % 2) * rows
-            operate(passes, pair, offset, rows - offset, pair, 0, group, index - group * passes.threads)
+            operate(passes, pair, offset, rows - offset, 2 * rows, pair, 0, group, thread)
 
     @relax_kernel
     def relax(passes: Passes, span: Span, newton: NewtonState, limit: int):

@@ -17,9 +17,9 @@ from deformscope.stages.msm.body import Body, BodyRest, Operator, Parameters
 from deformscope.stages.msm.cluster_functions import BY_BETA, BY_THETA, NONE, VOLUMES
 from deformscope.stages.msm.clusters import Clusters, LatticeClusters, held_mask
 from deformscope.stages.msm.general import GeneralBody
-from deformscope.stages.msm.iteration import Anderson, Ended, Newton, halves
+from deformscope.stages.msm.iteration import Anderson, Ended, Newton
 from deformscope.stages.msm.lattice import LatticeBody, lattice_edges
-from deformscope.stages.msm.layout import Field, upload
+from deformscope.stages.msm.layout import Field, HostCopies, upload
 from deformscope.stages.msm.materials import AxisBeta
 from deformscope.stages.msm.newton_functions import CONVERGED, DIVERGED
 from deformscope.stages.msm.newton_kernels import newton_kernels_for
@@ -110,7 +110,8 @@ class Moving:
         self.last_dt = 0.0
         self.operator: Any = operator
         self.layout = operator.layout
-        self.pair = self.layout.field(2 * operator.dim)
+        self.parts = 3 if operator.looks_ahead else 2  # x* of the next step is the third
+        self.pair = self.layout.field(self.parts * operator.dim)
         self.swapped = False
         self.ran_away = self.layout.each(np.zeros(1), int)
         self.running = wp.full(self.layout.groups, 1, dtype=int, device=self.layout.device)
@@ -127,11 +128,20 @@ class Moving:
 
     @property
     def u(self) -> Field:
-        return halves(self.pair)[int(self.swapped)]
+        return self._part(int(self.swapped))
 
     @property
     def before(self) -> Field:
-        return halves(self.pair)[int(not self.swapped)]
+        return self._part(int(not self.swapped))
+
+    @property
+    def star(self) -> Field:
+        return self._part(self.parts - 1)
+
+    def _part(self, index: int) -> Field:
+        rows = self.pair.shape[0] // self.parts
+        part: Field = self.pair[index * rows : (index + 1) * rows]
+        return part
 
     @property
     def diverged(self) -> BoolArray:
@@ -591,7 +601,13 @@ class Msm:
 
     def positions(self, state: Moving) -> FloatArray:
         """Positions (B, K, d) of the particles of stepped bodies."""
-        return self.rest + state.layout.get(state.u, self.dim) * self.scale
+        if state.layout.there is None:
+            return self.rest + state.layout.get(state.u, self.dim) * self.scale
+        size, device = state.layout.candidates * self.rest.size, state.layout.device
+        copies, rest = state.kept(
+            ("copies",), lambda: (HostCopies(size, device), upload(self.rest, wp.float64, device))
+        )
+        return copies.take(state.layout, state.u, self.dim, self.scale, rest)  # type: ignore[no-any-return]
 
     def advance(
         self,
@@ -742,23 +758,36 @@ class _Stepping:
             operator.stay_stepping(state.pair, state.swapped, motion, self.parameters, steps, state.ran_away)
             state.swapped ^= bool(steps % 2)
             return
+        if steps and operator.looks_ahead:
+            graph, _in_use = state.kept(
+                ("ahead", id(motion), state.swapped), lambda: (self._recorded(self._look_ahead, motion), motion)
+            )
+            wp.capture_launch(graph)
         if steps > 1:
             key = id(motion), id(self.parameters), state.swapped
-            graph, *_in_use = state.kept(key, lambda: (self._two(motion), motion, self.parameters))
+            graph, *_in_use = state.kept(key, lambda: (self._recorded(self._two, motion), motion, self.parameters))
             for _ in range(steps // 2):
                 wp.capture_launch(graph)
         if steps % 2:
             self._one(motion)
 
-    def _two(self, motion: object) -> Any:
+    def _recorded(self, launches: Callable[[object], None], motion: object) -> Any:
         with wp.ScopedCapture(device=self.state.layout.device) as capture:
-            self._one(motion)
-            self._one(motion)
+            launches(motion)
         return capture.graph
+
+    def _look_ahead(self, motion: object) -> None:
+        state = self.state
+        state.operator.look_ahead(state.u, state.before, state.star, motion, state.running)
+
+    def _two(self, motion: object) -> None:
+        self._one(motion)
+        self._one(motion)
 
     def _one(self, motion: object) -> None:
         state = self.state
-        state.operator.step(state.u, state.before, motion, self.parameters, state.running, state.ran_away)
+        fields = state.u, state.before, state.star
+        state.operator.step(*fields, motion, self.parameters, state.running, state.ran_away)
         state.swapped = not state.swapped
 
 
