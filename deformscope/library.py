@@ -16,7 +16,6 @@ OptionsT = TypeVar("OptionsT", bound="Flags")
 if TYPE_CHECKING:
     from deformscope.arrays import FloatArray, ImageArray
     from deformscope.config import AxesConfig, BetaConfig, FieldConfig, ThetaConfig, ViscousConfig, YieldConfig
-    from deformscope.config.explore import Planner
     from deformscope.config.flags import TipName
     from deformscope.config.options import Flags
     from deformscope.config.rigs import ExportFormat
@@ -274,14 +273,14 @@ def certify(
 def explore(
     rig: "str | Path | OwnScene",
     *,
-    planner: "Planner | TouchPlanner" = "regions",
+    planner: "TouchPlanner | None" = None,
     progress: Say | bool | None = None,
     **options: object,
 ) -> "ExplorationResult":
     """Map the stiffness of a surface: look, touch the most informative place, update the map, repeat.
 
-    rig: a rig file (.toml), a simulated scene (`lab:NAME`), or an own scene; planner: a planner's name, or an own
-    planner, which chooses all touches
+    rig: a rig file (.toml), a simulated scene (`lab:NAME`), or an own scene; planner: an own planner,
+    which chooses all touches
     progress: called with each line about checks and touches; default: they are printed on stderr where that is a
     terminal or a notebook; True: always, False: never; without it those of a rig file always, unless there is a
     function
@@ -291,12 +290,12 @@ def explore(
     from deformscope.config import ExploreConfig
     from deformscope.runs.exploration_run import explore_on
 
-    own, scene = (planner if callable(planner) else None), (None if isinstance(rig, str | Path) else rig)
+    scene = None if isinstance(rig, str | Path) else rig
     with _python_names():
         rig = f"lab:{rig.name}" if not isinstance(rig, str | Path) else rig
-        config = _options(ExploreConfig, options, rig=str(rig), planner="regions" if own else planner)
+        config = _options(ExploreConfig, options, rig=str(rig))
         with _messages(rig, progress):
-            explored = explore_on(config, lambda explored: None, own, scene)
+            explored = explore_on(config, lambda explored: None, planner, scene)
     if explored is None:
         raise InputError("an exploration", "none: it ended before the arm could move")
     return explored

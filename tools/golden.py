@@ -92,7 +92,6 @@ CASES: Mapping[str, Case] = {
     "explore-clean": _explore("lab:disc --touches 3 --seed 1 --clean --beta-model none"),
     "explore-relaxed": _explore("lab:two-60c30-150c30 --touches 3 --seed 2 --hold 2 --feel relaxed --beta-model none"),
     "explore-inclusions": _explore("lab:buried --goal inclusions --touches 4 --seed 1", "replay e.rrd --json r.json"),
-    "explore-thesis": _explore("lab:two-60-150 --planner thesis --touches 3 --seed 1"),
     "explore-quick": _explore("lab:egg-crate --pace quick --touches 3 --seed 1 --border 0.01 --beta-model none"),
     "explore-gripper": _explore("lab:two-60-150 --robot gripper --camera realsense --touches 2 --beta-model none"),
     "explore-fault": _of(

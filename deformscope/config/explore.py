@@ -9,51 +9,28 @@ from deformscope.config import flags
 from deformscope.config.options import Flags, OutputOptions, RecordedOptions
 from deformscope.errors import InputError
 
-BetaModel = Literal["volume", "thesis", "none"]
+BetaModel = Literal["volume", "none"]
 Feel = Literal["apparent", "relaxed"]
 Goal = Literal["regions", "inclusions"]
 Pace = Literal["careful", "quick"]
-Planner = Literal["regions", "thesis"]
 REGION_TOUCHES, INCLUSION_TOUCHES = 8, 30
 """Default number of touches."""
 MOST_HOLD_S = 60.0
 BORDER_M, LEAST_BORDER_M = 0.02, 0.01
 """No touch is made closer to the surface's edge, unless requested; the least distance at which the law of edges was
 measured."""
-_GRID = flags.Rule(lambda grid: 0.002 <= grid <= 0.02, "a {flag} of 0.002 to 0.02 m")
-_STEP = flags.Rule(lambda step: 0.001 <= step <= 0.5, "a {flag} of 0.001 to 0.5")
-_WIDTH = flags.Rule(lambda width: 0.05 <= width <= 10.0, "a {flag} of 0.05 to 10 m")
-
-
-@dataclass(frozen=True, slots=True)
-class ThesisFlags(Flags):
-    """Chapter 4 by its own rules: --planner thesis, --beta-model thesis. The defaults are the thesis's."""
-
-    beta_grid_m: Annotated[float, arg(name="beta-grid", metavar="M"), _GRID] = 0.005
-    """Spacing of the particles of the thesis's sweep, and with --planner thesis of the places whose variance is
-    evaluated [m]."""
-    beta_step: Annotated[float, _STEP] = 0.01
-    """Step of the thesis's sweep of beta, from 0 to below 1."""
-    sigma_w_m: Annotated[float, arg(name="sigma-w", metavar="M"), _WIDTH] = 0.5
-    """Width of the kernel of --planner thesis [m]. Together with --threshold it alone determines the number of touches
-    (n of table 4.1), whatever they measure. The thesis does not print it; with the default, 60 x 40 cm of one foam take
-    its 3 touches."""
 
 
 @dataclass(frozen=True, slots=True)
 class ExploreFlags(Flags):
     """Options of an exploration that have a flag; `experiments.explore.options.ExploreOptions` has all. `budget` and
-    `beta_model` follow from goal and planner if they are None."""
+    `beta_model` follow from the goal if they are None."""
 
     budget: Annotated[flags.SomeFlag, arg(name="touches")] = None
     """Largest number of touches, default 8, with --goal inclusions 30."""
     goal: Goal = "regions"
     """The goal: regions of one stiffness each, or inclusions below a homogeneous surface, stiffer or softer than the
     foam around them. Inclusions end when a missed one of --smallest-inclusion or more is less likely than 5 %."""
-    planner: Planner = "regions"
-    """How the next place is chosen. regions: largest gain of the map of regions per second (default). thesis: all of
-    chapter 4. It begins at --first (default: a preset place), touches while any variance of its field of beta exceeds
-    --threshold, and finds regions along isopleths."""
     threshold: float = 0.06
     """Variance, as a share of the variance before any touch, below which a place needs no touch (Th of the thesis)."""
     hold_s: Annotated[float, arg(name="hold", metavar="S")] = 0.0
@@ -71,17 +48,14 @@ class ExploreFlags(Flags):
     first_m: Annotated[flags.PlaceFlag, arg(name="first")] = None
     """Place of the first touch, in the surface frame [m]; default: the most informative place."""
     beta_model: BetaModel | None = None
-    """Model that beta is fitted with. volume: layers below the surface (default); thesis: the thesis's sweep with one
-    held particle of a single layer (default of --planner thesis); none."""
-    thesis: OmitArgPrefixes[ThesisFlags] = field(default_factory=ThesisFlags)
+    """Model that beta is fitted with. volume: layers below the surface (default); none: no beta."""
 
     def __post_init__(self) -> None:
         inclusions = self.goal == "inclusions"
         if self.budget is None:
             object.__setattr__(self, "budget", INCLUSION_TOUCHES if inclusions else REGION_TOUCHES)
         if self.beta_model is None:
-            model = "none" if inclusions else "thesis" if self.planner == "thesis" else "volume"
-            object.__setattr__(self, "beta_model", model)
+            object.__setattr__(self, "beta_model", "none" if inclusions else "volume")
         Flags.__post_init__(self)
 
     def check(self) -> None:
@@ -91,12 +65,8 @@ class ExploreFlags(Flags):
             raise InputError(f"a hold of 0 to {MOST_HOLD_S:g} s", f"{self.hold_s:g} s")
         if self.feel == "relaxed" and not self.hold_s:
             raise InputError("a hold, from which the relaxed stiffness is measured", "none", "--hold 5")
-        if self.goal == "inclusions" and self.planner != "regions":
-            raise InputError("the planner of --goal inclusions", f"--planner {self.planner}", "leave --planner out")
         if not LEAST_BORDER_M <= self.border_m <= 0.1:
             raise InputError(f"a border of {LEAST_BORDER_M:g} to 0.1 m", f"{self.border_m:g} m")
-        if self.planner == "thesis" and self.beta_model == "none":
-            raise InputError("a beta model for the thesis's planner", "none", "--beta-model thesis")
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +88,7 @@ class ExploreConfig(ExploreFlags, RecordedOptions):
     touch presses with 5/3 of it (5 N at most)."""
     tangential: Literal["held", "free"] | None = None
     """During the press, hold the tip on the surface's normal, or let lateral forces move it, as chapter 4 does;
-    default: what [touch] of the rig file has; in a simulated scene held, with --planner thesis free."""
+    default: what [touch] of the rig file has; in a simulated scene held."""
     dry_run: bool = False
     """Make the first touch 10 cm above the surface, without contact, and end."""
     fault: Annotated[

@@ -18,7 +18,6 @@ from deformscope.images import encode_png
 from deformscope.pictures.figures import canvas, png_of
 from deformscope.pictures.messages import (
     counted,
-    format_claim,
     format_inclusions,
     format_iou,
     format_stop,
@@ -166,7 +165,7 @@ def draw_beta_deviation(axes: "Axes", maps: MapEstimate) -> None:
 
 def draw_regions(axes: "Axes", maps: MapEstimate) -> None:
     if not maps.region_count:
-        _title(axes, "No regions", f"the {maps.mapped} changes smoothly (probability {maps.probability:.2f})")
+        _title(axes, "No regions", f"the stiffness changes smoothly (probability {maps.probability:.2f})")
         _say(axes, "", maps.labels.shape, maps.cell_m)
         _draw_contacts(axes, maps.contacts_m, maps.tip_radius_m)
         return
@@ -175,7 +174,7 @@ def draw_regions(axes: "Axes", maps: MapEstimate) -> None:
     _draw_outline(axes, maps.labels, maps.cell_m, "black")
     _draw_contacts(axes, maps.contacts_m, maps.tip_radius_m)
     _draw_keys(axes, maps)
-    _title(axes, f"{format_verdict(maps)} found", f"{format_claim(maps.claimed)}; the paler, the less certain")
+    _title(axes, f"{format_verdict(maps)} found", f"probability {maps.probability:.2f}; the paler, the less certain")
 
 
 def draw_truth(axes: "Axes", maps: MapEstimate) -> None:
@@ -340,7 +339,7 @@ def draw_region_comparison(axes: "Axes", recorded: MapEstimate, other: MapEstima
     handles = []
     for maps, color, width, whose in sides:
         _draw_outline(axes, maps.labels, maps.cell_m, hexadecimal(color), width)
-        words = f"{whose}: {format_verdict(maps)} ({format_claim(maps.claimed)})"
+        words = f"{whose}: {format_verdict(maps)} (probability {maps.probability:.2f})"
         handles.append(Line2D([], [], color=hexadecimal(color), lw=width, label=words))
     _draw_contacts(axes, recorded.contacts_m, recorded.tip_radius_m)
     matched = _matched(other.labels, recorded.labels) if recorded.region_count and other.region_count else other.labels

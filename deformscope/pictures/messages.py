@@ -20,13 +20,7 @@ def format_verdict(maps: MapEstimate) -> str:
 
 def format_regions(maps: MapEstimate) -> str:
     """Number of regions, and their levels."""
-    between = "" if maps.isopleths is None else " between isopleths of beta"
-    return "at least " * maps.more_possible + counted(maps.region_count, "region") + between
-
-
-def format_claim(probability: float | None) -> str:
-    """How sure a verdict is; None: the rule that decided gives no probability."""
-    return "the thesis's rule gives no probability" if probability is None else f"probability {probability:.2f}"
+    return "at least " * maps.more_possible + counted(maps.region_count, "region")
 
 
 ENDED = {

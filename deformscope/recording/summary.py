@@ -110,7 +110,7 @@ def _rows(replay: Replay) -> Iterator[dict[str, Any]]:
     if touches:
         yield _of_touches(touches)
     if (found := last.get(MapEstimate)) is not None:
-        about = {"verdict": found.verdict, "verdict_probability": found.claimed, "region_count": found.region_count}
+        about = {"verdict": found.verdict, "verdict_probability": found.probability, "region_count": found.region_count}
         yield {name: value for name, value in (about | {"iou": found.iou}).items() if value is not None}
     if (events := last.get(SqueezeEvents)) is not None:
         yield {"steady_after_s": (events.steady_ns - events.first_ns) / 1e9}

@@ -111,13 +111,7 @@ class ExplorationResult(LibraryResult):
     @derived()
     def verdict_probability(self) -> float | None:
         """Probability of the verdict and its number of regions."""
-        return None if self.estimate is None else self.estimate.claimed
-
-    @property
-    @derived()
-    def regions_by(self) -> str | None:
-        """The quantity that distinguishes the regions."""
-        return None if self.estimate is None else self.estimate.mapped
+        return None if self.estimate is None else self.estimate.probability
 
     touches: tuple[TouchOutcome, ...] = field(metadata=reported())
 
@@ -210,13 +204,11 @@ class ExplorationResult(LibraryResult):
         kind = messages.format_regions(self.estimate)
         if self.verdict == "gradual":
             kind = "gradual: no regions, the stiffness changes smoothly"
-        return f"{kind} ({messages.format_claim(self.verdict_probability)}{self._rival()})"
+        return f"{kind} (probability {self.verdict_probability:.2f}{self._rival()})"
 
     def _rival(self) -> str:
-        """The other probable verdict, if the verdict is uncertain; the verdict by stiffness, if the regions are
-        beta's."""
-        by_beta = self.regions_by == "beta"
-        given = "" if by_beta else str(self.region_count or "gradual")
+        """The other probable verdict, if the verdict is uncertain."""
+        given = str(self.region_count or "gradual")
         # "at least" includes the greater numbers
         claimed = self.region_count if self.region_count_at_least else None
         share, count = max(
@@ -225,8 +217,6 @@ class ExplorationResult(LibraryResult):
             if count != given and (claimed is None or count == "gradual" or int(count) < claimed)
         )
         words = count if count == "gradual" else messages.counted(int(count), "region")
-        if by_beta:
-            return f"; by stiffness {words}, probability {share:.2f}"
         return f", {words} {share:.2f}; more touches decide" if share >= RIVAL else ""
 
     def rows(self) -> Rows:

@@ -335,7 +335,7 @@ def _remarks(result: object, made: int, budget: int, spent_s: float) -> Iterator
             yield f"  creep{at}: {result.creep.text}"
     elif isinstance(result, MapEstimate):
         truth = f", {messages.format_iou(result)}" if messages.format_iou(result) else ""
-        yield f"  map so far: {messages.format_verdict(result)} ({messages.format_claim(result.claimed)}){truth}"
+        yield f"  map so far: {messages.format_verdict(result)} (probability {result.probability:.2f}){truth}"
     elif isinstance(result, InclusionsResult):
         smallest = f"{100.0 * result.smallest_m:g} cm radius or more"
         missed = f"is missed with a probability of {result.missed_smallest:.1%}"

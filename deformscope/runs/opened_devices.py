@@ -69,7 +69,7 @@ def setup_of(
     clean: no hidden errors in the laboratory; camera: error model of its camera; robot: the robot's model in the
     images;
     removal: how that is taken out of its pictures; tangential: motion of the tip across the normal, None = what the rig
-    file has, in the laboratory free where `options` are the thesis's; scene: scene of a name that is not built in;
+    file has, in the laboratory held; scene: scene of a name that is not built in;
     errors: distributions of the laboratory's hidden errors; corrected: by the rig's certificate; arm: driver of the
     laboratory's arm, empty = its usual one"""
     if name.startswith(LAB):
@@ -81,8 +81,7 @@ def setup_of(
         from deformscope.robot.description import AS_CAPSULES
 
         scene = scene or built_in(name.removeprefix(LAB), options.seed)
-        across = tangential or ("free" if options.planner == "thesis" else "held")
-        options = dataclasses.replace(options, thickness_m=scene.thickness_m, tangential=across)
+        options = dataclasses.replace(options, thickness_m=scene.thickness_m, tangential=tangential or "held")
         if set_force_n is not None:
             options = dataclasses.replace(options, set_force_n=set_force_n)
         parked_m = highest_m(options)

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
 
 from deformscope.config import ReplayConfig
-from deformscope.config.explore import ThesisFlags
 from deformscope.errors import InputError
 from deformscope.pictures.report import Table
 from deformscope.plain import Json
@@ -42,11 +41,8 @@ def replay_exploration(recording: "Replay", config: ReplayConfig, page: "PageSer
     from deformscope.stages.map.perception import ForcePose, LookPerception, TouchPerception
 
     settings, path = recording.settings, config.recording
-    changes = _changes(config.set, get_type_hints(ExploreOptions) | get_type_hints(ThesisFlags))
-    before = msgspec.convert(settings["explore"], ExploreOptions)
-    own = {name: changes[name] for name in changes.keys() & get_type_hints(ThesisFlags).keys()}
-    thesis = {"thesis": dataclasses.replace(before.thesis, **own)}
-    options = dataclasses.replace(before, **{name: changes[name] for name in changes.keys() - own.keys()} | thesis)
+    changes = _changes(config.set, get_type_hints(ExploreOptions))
+    options = dataclasses.replace(msgspec.convert(settings["explore"], ExploreOptions), **changes)
     geometry = SetupGeometry.from_json(settings.get("setup", {}))
     kinds: tuple[type, ...] = (
         exploration.SurfaceEstimate,
@@ -122,7 +118,7 @@ def _compared(
     recorded: list[Any], again: list[Any], changes: dict[str, Any], path: Path, page: "PageServer | None"
 ) -> ReplayResult:
     """Results of other settings, with the recorded ones; the robot touched the recorded places."""
-    from deformscope.pictures.messages import format_claim, format_verdict
+    from deformscope.pictures.messages import format_verdict
     from deformscope.stages.map import exploration
 
     def rows(results: list[Any]) -> dict[str, str]:
@@ -132,7 +128,7 @@ def _compared(
                 beta = "no beta" if one.beta is None else f"beta {one.beta:.2f}"
                 found[f"touch {one.number}"] = f"{one.stiffness_text} ({one.interval_text}), {beta}"
             elif isinstance(one, exploration.MapEstimate):
-                found["map"] = f"{format_verdict(one)} ({format_claim(one.claimed)})"
+                found["map"] = f"{format_verdict(one)} (probability {one.probability:.2f})"
         return found
 
     before, now = rows(recorded), rows(again)

@@ -13,10 +13,10 @@ import numpy as np
 from tyro.conf import OmitArgPrefixes
 
 from deformscope.config import flags
-from deformscope.config.explore import ThesisFlags
 from deformscope.pictures.report import Table
 from studies.output import dict_table, pictures_of, write_rows
 from studies.reproduce.chapter4_figures import draw_betas, draw_clouds, draw_dents, draw_fields
+from studies.reproduce.thesis_map import ThesisFlags
 from studies.reproduce.thesis_rules import (
     HARDNESSES_N,
     OWN,

@@ -17,29 +17,29 @@ from threadpoolctl import threadpool_limits
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.experiments.explore.explore import Exploration
-from deformscope.experiments.explore.explorer import ExplorationStages, UnseenSurface
-from deformscope.experiments.explore.options import ExploreOptions
+from deformscope.experiments.explore.explorer import ExplorationStages
 from deformscope.experiments.explore.robot_geometry import AsMeasured, Touch
-from deformscope.experiments.explore.search import ThesisSearch
 from deformscope.lab.scenes import built_in
 from deformscope.lab.slab import RigidTip
 from deformscope.lab.slab_world import SlabWorld
 from deformscope.stages.gaussian_process import ProcessPrediction
 from deformscope.stages.map.map_score import match_regions
-from deformscope.stages.map.perception import COARSE_GRID_M, SeenDent
-from deformscope.stages.map.thesis import (
-    THESIS_SIDE_M,
-    THESIS_STEP,
-    ThesisField,
-    contoured,
-    dent_of,
-    swept_betas,
-    thesis_beta,
-)
+from deformscope.stages.map.perception import COARSE_GRID_M, SIDE_M, SeenDent, dent_of
 from deformscope.stages.map.touch_beta import BallContact, fit_touch
 from deformscope.stages.regions.touches import MapGrid
 from studies.reproduce.foam_fits import format_order
 from studies.reproduce.surface_robot import LabRobot, explore_at_once
+from studies.reproduce.thesis_map import (
+    FIRST_SHARE,
+    THESIS_STEP,
+    ThesisExplorer,
+    ThesisField,
+    ThesisOptions,
+    ThesisSurface,
+    contoured,
+    swept_betas,
+    thesis_beta,
+)
 
 HARDNESSES_N = (30, 60, 110, 150, 300)
 """Hardnesses of figure 4.5: the thesis's 60, 110 and 150 N, one softer and one firmer."""
@@ -68,11 +68,11 @@ SCENARIOS: dict[str, tuple[int, int]] = {
 """Table 4.1 of the thesis: number of interactions at Th = 0.06, and of regions."""
 
 MOST_TOUCHES = 10
-AROUND_M = 2.0 * THESIS_SIDE_M
+AROUND_M = 2.0 * SIDE_M
 """Width of the square of material points of the exact dent, which are 2.5 mm apart."""
 
 
-OWN = ExploreOptions(planner="thesis")
+OWN = ThesisOptions(beta_model="none")
 """The thesis's rules."""
 
 
@@ -81,7 +81,7 @@ class TouchedFoam:
     """A foam to touch. own: how it is touched and fitted"""
 
     hardness_n: int
-    own: ExploreOptions = OWN
+    own: ThesisOptions = OWN
     cluster_sizes: tuple[int | None, ...] = CLUSTER_SIZES
 
 
@@ -91,7 +91,7 @@ class ScenarioCase:
 
     scene: str
     seed: int
-    own: ExploreOptions = OWN
+    own: ThesisOptions = OWN
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,11 +125,11 @@ def press_foam(case: TouchedFoam) -> FoamDent:
         scene = built_in(f"homogeneous-{hardness_n}", 0)
         options = replace(own, thickness_m=scene.thickness_m)
         robot = LabRobot(scene, options)
-        explorer = UnseenSurface(scene.size_m, options, robot.arm, robot.truth).look(robot.look())
+        explorer = ThesisSurface(scene.size_m, options, robot.arm, robot.truth).look(robot.look())
         at = 0.5 * np.asarray(scene.size_m)
         touched = robot.touch(Touch(at, *explorer.surface.aim(at)))
         found, *_ = explorer.touch(touched)
-        dent = explorer.betas[0].dent
+        (dent,) = explorer.dents
         if dent is None:
             raise InputError("a foam that 3 N dents", f"{hardness_n} N", "a softer one")
         radius, thickness = options.tip_radius_m, scene.thickness_m
@@ -151,7 +151,7 @@ def press_foam(case: TouchedFoam) -> FoamDent:
                     explorer.surface.process, touched.after_m, ball, thickness_m=thickness, cluster_size=size
                 )
                 betas.append(HeldBeta(HOLDS[3], size, ours.estimate.value, None))
-    near = (np.abs(touched.after_m[:, :2] - at) < 0.5 * THESIS_SIDE_M).all(axis=1)
+    near = (np.abs(touched.after_m[:, :2] - at) < 0.5 * SIDE_M).all(axis=1)
     return FoamDent(hardness_n, found.depth_m, dent, tuple(betas), touched.after_m[near], ball)
 
 
@@ -196,18 +196,18 @@ def explore_scenario(case: ScenarioCase) -> Scenario:
         scene = built_in(name, seed)
         if (truth := scene.regions) is None:
             raise InputError("a scene with regions", name, "two-60-150")
-        options = replace(own, budget=MOST_TOUCHES, seed=seed, thickness_m=scene.thickness_m)
+        x, y = np.multiply(FIRST_SHARE, scene.size_m).tolist()
+        options = replace(own, budget=MOST_TOUCHES, seed=seed, thickness_m=scene.thickness_m, first_m=(x, y))
         robot = LabRobot(scene, options)
-        unseen, found = UnseenSurface(scene.size_m, options, robot.arm, robot.truth), Exploration()
+        unseen, found = ThesisSurface(scene.size_m, options, robot.arm, robot.truth), Exploration()
         stages = ExplorationStages(unseen, AsMeasured(scene.size_m, robot.reachable))
         explore_at_once(robot, stages, _Nowhere(), found)
         explorer = stages.explorer
-        assert isinstance(explorer.search, ThesisSearch)
-        single = explorer.search.thesis
-        dents = [beta.dent for beta in explorer.betas if beta.value is not None]
+        assert isinstance(explorer, ThesisExplorer)
+        single = explorer.field
         counts = np.cumsum(single.dented)
         layers = ThesisField(width_m=own.thesis.sigma_w_m)
-        for dent, places_m in zip(dents, np.split(single.places_m, counts[:-1]), strict=True):
+        for dent, places_m in zip(explorer.dents, np.split(single.places_m, counts[:-1]), strict=True):
             beta = 0.0
             if dent is not None:
                 beta = thesis_beta(dent, thickness_m=scene.thickness_m, step=own.thesis.beta_step).beta

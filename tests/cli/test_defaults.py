@@ -5,7 +5,7 @@ import dataclasses
 import importlib
 import inspect
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import pytest
 
@@ -14,6 +14,7 @@ import deformscope.config
 from deformscope import library
 from deformscope.config.options import Flags
 from deformscope.experiments.explore.options import ExploreOptions
+from deformscope.runs.opened_devices import setup_of
 from deformscope.stages.map.plan import PlanOptions
 
 PACKAGE = Path(deformscope.__file__).parent
@@ -108,11 +109,19 @@ def test_a_difference_would_be_seen() -> None:
     assert differing({"threshold": 0.1, "feel": "apparent", "budget": 3}, "ExploreConfig") == {"threshold": (0.1, 0.06)}
 
 
-@pytest.mark.parametrize("given", [{}, {"goal": "inclusions"}, {"planner": "thesis"}])
+@pytest.mark.parametrize("given", [{}, {"goal": "inclusions"}])
 def test_options_of_explorations_are_those_of_the_command(given: dict[str, Any]) -> None:
-    """Those too that follow from goal and planner."""
+    """Those too that follow from the goal."""
     options, flags = ExploreOptions(**given), deformscope.config.ExploreConfig(rig="lab:disc", **given)
-    for name in ("budget", "beta_model", "thesis", "threshold", "border_m"):
+    for name in ("budget", "beta_model", "threshold", "border_m"):
         assert getattr(options, name) == getattr(flags, name), name
     if not given:
         assert options.planning == PlanOptions()
+
+
+@pytest.mark.parametrize(("asked", "is_now"), [(None, "held"), ("held", "held"), ("free", "free")])
+def test_a_simulated_scene_leaves_the_tangent_free_where_it_is_asked_for(
+    asked: Literal["held", "free"] | None, is_now: str
+) -> None:
+    opening = setup_of("lab:homogeneous-60", ExploreOptions(), None, trusted=True, tangential=asked)
+    assert opening.options.tangential == is_now

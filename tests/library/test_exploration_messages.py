@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deformscope.pictures.messages import ENDED, format_claim, format_stop, format_verdict
+from deformscope.pictures.messages import ENDED, format_stop, format_verdict
 from deformscope.results.render import to_line
 from deformscope.runs import exploration_result
 from deformscope.runs.exploration_run import _remarks, _with_messages
@@ -96,19 +96,6 @@ def test_a_rival_is_named_where_there_is_one(share: dict[str, float], words: str
     found = found_with(probability=share)
     maps = dataclasses.replace(found.estimate, probability=share["2"])
     assert dataclasses.replace(found, estimate=maps).verdict_text == words
-
-
-def test_the_thesiss_rule_has_no_probability_of_its_own() -> None:
-    """Two foams, one region between isopleths: by stiffness that number has 4e-7."""
-    maps = dataclasses.replace(maps_after(2), isopleths=np.zeros(0), region_count=1, probability=4e-7)
-    assert maps.claimed is None
-    assert maps.mapped == "beta"
-    assert format_verdict(maps) == "1 region between isopleths of beta"
-    assert format_claim(maps.claimed) == "the thesis's rule gives no probability"
-    found = found_with(estimate=maps, probability={"1": 4e-7, "2": 0.93, "3": 0.05, "gradual": 0.02})
-    rule = "1 region between isopleths of beta (the thesis's rule gives no probability"
-    assert found.verdict_text == f"{rule}; by stiffness 2 regions, probability 0.93)"
-    assert maps_after(2).claimed == maps_after(2).probability
 
 
 @pytest.mark.parametrize(

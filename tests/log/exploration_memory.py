@@ -22,8 +22,8 @@ def main() -> None:
     parser.add_argument("touches")
     parser.add_argument("--hold", default="0")
     given = parser.parse_args()
-    # a rule that leaves no place out goes on as long as it is asked for touches
-    rule = "--planner", "thesis", "--threshold", "1e-9", "--touches", given.touches, "--hold", given.hold
+    # a small inclusion may be missed for long, so that it goes on as long as it is asked for touches
+    rule = "--smallest-inclusion", "0.02", "--threshold", "1e-9", "--touches", given.touches, "--hold", given.hold
     command = [sys.executable, "-m", "deformscope", "explore", "lab:two-60-150", "--seed", "3", *rule]
     log = given.file.with_suffix(".log")
     with log.open("wb") as said:

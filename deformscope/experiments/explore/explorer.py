@@ -34,9 +34,10 @@ from deformscope.stages.map.exploration import (
     TouchEstimate,
     TouchForecast,
 )
+from deformscope.stages.map.field import BETA_PRIOR, fit_field
 from deformscope.stages.map.map_score import boundary_distance, called_labels, match_regions
 from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
-from deformscope.stages.map.perception import Hyperparameters, Perception, TouchPerception, TrainedField
+from deformscope.stages.map.perception import Perception, TouchPerception, TrainedField
 from deformscope.stages.map.plan import ALLOWED
 from deformscope.stages.poke.contact import EXPONENT, ArmCompliance
 from deformscope.stages.poke.creep import CreepFit
@@ -56,6 +57,8 @@ BEFORE_A_MAP = ("contact", "creep", "regions", "maps")
 """Stages without which a touch gives no map."""
 WAY = "way"
 """Stage of a failure that left a place out: there is no way to it within the workspace."""
+FEWEST_FOR_FIELD = 2
+"""Number of touches with a beta from which there is a field of beta."""
 MOST_FAILED = 3
 """After this number of touches in a row without a map the exploration ends: the fault is then permanent."""
 
@@ -253,7 +256,6 @@ class Explorer:
         self._without_map = 0
         self._off_seen_m = 0.0
         self._trained: TrainedField | None = None
-        self._under: Hyperparameters | None = None  # of the newest surface under a touch
 
     @property
     def given_up(self) -> str:
@@ -272,19 +274,18 @@ class Explorer:
 
     def _plan(self, reachable: BoolArray | None) -> PlannedTouch:
         options, touches = self.options, len(self.touches)
-        plan = self.search.planner(touches)(
+        plan = self.search.planner()(
             options=options.planning,
             tip_m=self.touches[-1].xyz_m[:2] if self.touches else None,
             left_out_m=np.reshape(self._left_out, (-1, 2)),
             reachable=reachable,
         )
-        first = options.first_place(self.grid.size_m, self.search)
-        if first is not None and not self.touches and not self._left_out:
-            xy_m = first[0]
+        if options.first_m is not None and not self.touches and not self._left_out:
+            xy_m = np.array(options.first_m)
             cell = int(np.argmin(np.linalg.norm(self.grid.centres_m - xy_m, axis=1)))
             if reachable is not None and not reachable.ravel()[cell]:
                 raise InputError("--first at a place that the tip can reach", f"{xy_m[0]:g},{xy_m[1]:g}", "another one")
-            plan = dataclasses.replace(plan, target_m=first[0], reason=first[1], stop=None)
+            plan = dataclasses.replace(plan, target_m=xy_m, reason="as asked for", stop=None)
         enough = plan.stop is not None and not (options.go_on and touches < options.budget)
         return PlannedTouch(
             target_m=None if enough else plan.target_m,
@@ -382,11 +383,10 @@ class Explorer:
         options, beta = self.options, self.betas[-1]
         if not options.perception:
             return None
-        under = beta.surface
-        if under is None and options.beta_model == "volume" and contact is not None and not contact.fit.rigid:
-            given = touched.approach, contact.fit, self.surface, self._arm, options, self._under
+        under = None
+        if options.beta_model == "volume" and contact is not None and not contact.fit.rigid:
+            given = touched.approach, contact.fit, self.surface, self._arm, options
             under = self._stage("touch surface", lambda: touch_surface(*given))
-        self._under = self._under if under is None else under.learned
         return TouchPerception(
             number=len(self.touches),
             masks=None if touched.pixels is None else touched.pixels.masks(),
@@ -423,8 +423,6 @@ class Explorer:
             fitted = self._stage("beta", lambda: fit_beta(touched, fit, self.surface, self._arm, self.options))
             beta = fitted or BetaEstimate(f"not fitted: {self.failures[-1].reason}")
         self.betas.append(beta)
-        if beta.value is not None:
-            self.search = self.search.with_beta(beta.dented_m, beta.value)
         return touch_fit.touch_estimate(
             touched,
             number=len(self.touches) + 1,
@@ -471,16 +469,28 @@ class Explorer:
             iou=None if truth is None else match_regions(called_labels(found), truth)[0],
             boundary_m=None if truth is None else boundary_distance(called_labels(found), truth, self.grid.cell_m),
         )
-        return surface.with_moduli(self.search.divided(maps))
+        return surface.with_moduli(maps)
 
     def _beta_field(self) -> tuple[FloatArray, FloatArray, TrainedField] | None:
+        """Mean and deviation (rows, columns) of the field of beta, and its training data; None with too few touches."""
         known = [
             (one.xyz_m[:2], beta.value, beta.sd)
             for one, beta in zip(self.touches, self.betas, strict=True)
             if beta.value is not None
         ]
+        if len(known) < FEWEST_FOR_FIELD:
+            return None
         places, values, sds = (np.array([one[part] for one in known], dtype=np.float64) for part in range(3))
-        return self.search.beta_field(self.grid, places, values, sds)
+        field = fit_field(places, values, np.where(np.isfinite(sds), sds, BETA_PRIOR.nugget), BETA_PRIOR)
+        found = field.on(self.grid)
+        trained = TrainedField(
+            kernel=field.kernel,
+            noise=field.nugget,
+            place_m=field.places_m,
+            value=field.value,
+            weight=1.0 / (field.sd**2 + field.nugget**2),
+        )
+        return found.mean.clip(0.0, 1.0), found.deviation, trained
 
     def _stage(self, name: str, compute: Callable[[], StageResult]) -> StageResult | None:
         """Result of a stage; None after a failure, which `failures` then has. Raises NotThere for a place without a

@@ -7,14 +7,12 @@ from typing import Literal
 
 import numpy as np
 
-from deformscope.arrays import FloatArray
 from deformscope.config import flags
 from deformscope.config.explore import BORDER_M, BetaModel, ExploreFlags
 from deformscope.errors import InputError
-from deformscope.experiments.explore.search import InclusionSearch, RegionSearch, SurfaceSearch, ThesisSearch
+from deformscope.experiments.explore.search import InclusionSearch, RegionSearch, SurfaceSearch
 from deformscope.stages.map.inclusion_posterior import InclusionPosterior, InclusionPrior
 from deformscope.stages.map.plan import INCLUSION_M, PlanOptions
-from deformscope.stages.map.thesis import ThesisField
 from deformscope.stages.poke.creep import REFERENCE_SPEED_M_S, CreepFit
 from deformscope.stages.regions.levels import RegionPrior
 from deformscope.stages.regions.posterior import RegionPosterior
@@ -103,7 +101,7 @@ class ExploreOptions(ExploreFlags):
     perception: compute also results between frames and estimates, for a recording"""
 
     budget: flags.ManyFlag = None  # type: ignore[assignment]  # the flags' default follows from the goal
-    beta_model: BetaModel = None  # type: ignore[assignment]  # and that from the planner too
+    beta_model: BetaModel = None  # type: ignore[assignment]  # and so does that
     set_force_n: float = 3.0
     max_depth_m: float = 0.015
     tip_radius_m: float = 0.01
@@ -146,7 +144,7 @@ class ExploreOptions(ExploreFlags):
         return PlanOptions(
             budget=self.budget,
             threshold=self.threshold,
-            cell_m=self.thesis.beta_grid_m if self.planner == "thesis" else PLAN_CELL_M,
+            cell_m=PLAN_CELL_M,
             inclusion_m=self.inclusion_m,
             touch_s=touch_s,
             speed_m_s=speed_m_s,
@@ -166,15 +164,4 @@ class ExploreOptions(ExploreFlags):
                 smallest_m=self.inclusion_m, tip_radius_m=self.tip_radius_m, set_force_n=self.set_force_n, error=error
             )
             return InclusionSearch(InclusionPosterior(grid, prior))
-        posterior = RegionPosterior.before_touches(grid, RegionPrior(error=error), seed=self.seed)
-        if self.planner == "thesis":
-            return ThesisSearch(posterior, self.seed, ThesisField(width_m=self.thesis.sigma_w_m))
-        return RegionSearch(posterior)
-
-    def first_place(self, size_m: tuple[float, float], search: SurfaceSearch) -> tuple[FloatArray, str] | None:
-        """Place of the first touch (2,) [m], and its reason; None = the most informative place."""
-        if self.first_m is not None:
-            return np.array(self.first_m), "as asked for"
-        if search.first_share is not None:
-            return np.multiply(search.first_share, size_m), "the preset place"
-        return None
+        return RegionSearch(RegionPosterior.before_touches(grid, RegionPrior(error=error), seed=self.seed))

@@ -69,7 +69,7 @@ def summary(maps: MapEstimate) -> str:
     verdict = messages.format_verdict(maps)
     scored = f"; **{messages.format_iou(maps)}**" if maps.iou is not None else ""
     lines = [
-        f"# {verdict[0].upper()}{verdict[1:]} ({messages.format_claim(maps.claimed)})",
+        f"# {verdict[0].upper()}{verdict[1:]} (probability {maps.probability:.2f})",
         "",
         f"after **{messages.counted(maps.touches, 'touch')}**, {messages.format_travel(maps.travel_m)}",
         "",

@@ -219,8 +219,6 @@ class MapEstimate:
     level_modulus_pa, level_modulus_interval_pa: (region_count,), (region_count, 2) Young's modulus at each level, with
     its 90 %, a lower bound for rigid parts; None with an unknown thickness
     levelled_m: thickness of the level layer to which all stiffness is converted [m], None = apparent stiffness
-    isopleths: (k,) levels of beta between which the regions lie, by the thesis's rule, which has no probability.
-    `probability` is then that of as many regions by stiffness; None = the regions are of stiffness
     truth_labels: where it is known; iou, boundary_m: agreement with the truth; boundary_m is None if either has no
     boundary"""
 
@@ -247,13 +245,7 @@ class MapEstimate:
     level_modulus_pa: FloatArray | None = None
     level_modulus_interval_pa: FloatArray | None = None
     levelled_m: float | None = None
-    isopleths: FloatArray | None = None
     at_least: bool = False
-
-    @property
-    def mapped(self) -> str:
-        """The quantity that distinguishes the regions."""
-        return "stiffness" if self.isopleths is None else "beta"
 
     @property
     def regions(self) -> tuple[MapRegion, ...]:
@@ -273,12 +265,7 @@ class MapEstimate:
     @property
     def more_possible(self) -> bool:
         """Whether there may be more regions: three and more are not distinguished reliably (`studies regions`)."""
-        return self.at_least or (self.isopleths is None and self.region_count >= FIRST_REGIONS)
-
-    @property
-    def claimed(self) -> float | None:
-        """Probability of the verdict and the number of regions; None where they come from a rule that has none."""
-        return self.probability if self.isopleths is None else None
+        return self.at_least or self.region_count >= FIRST_REGIONS
 
 
 @dataclass(frozen=True, slots=True)

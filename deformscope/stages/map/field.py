@@ -18,10 +18,9 @@ from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.optimize import minimize
 from threadpoolctl import threadpool_limits
 
-from deformscope.arrays import FloatArray, IntArray
+from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.gaussian_process import Kernel, ProcessPrediction
-from deformscope.stages.poke.contact import Z_90
 from deformscope.stages.regions.touch_error import SCATTER_MEDIAN
 from deformscope.stages.regions.touches import MapGrid
 
@@ -83,14 +82,6 @@ class FieldMap:
     grid: MapGrid
     mean: FloatArray
     deviation: FloatArray
-
-
-def levels_of(field: FloatArray, field_sd: FloatArray, labels: IntArray, count: int) -> tuple[FloatArray, FloatArray]:
-    """(count,) means of a field in the regions of labels (rows, columns), and (count, 2) intervals of 90 %."""
-    every = [labels == label for label in range(count)]
-    level = np.array([field[cells].mean() for cells in every])
-    sd = np.array([field_sd[cells].mean() for cells in every])
-    return level, level[:, None] + Z_90 * sd[:, None] * [-1.0, 1.0]
 
 
 @dataclass(frozen=True, slots=True)

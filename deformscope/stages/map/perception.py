@@ -2,17 +2,21 @@
 a touch, the error over beta, and the training data of the fields."""
 
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.stages.fit.estimate import Curve
-from deformscope.stages.gaussian_process import Kernel
-from deformscope.stages.regions.touches import StiffnessSample
+from deformscope.stages.gaussian_process import Kernel, ProcessPrediction
+from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 from deformscope.stages.see.pixel_labels import PixelMasks
 
 COARSE_GRID_M = 0.01
 """The grid around a touch of recordings without one."""
+
+SIDE_M = 0.15
+"""Side of the square around a touch (Thesis 4.4)."""
 
 DENTED = 0.1
 """Share of the greatest depth from which a place counts as dented."""
@@ -41,6 +45,25 @@ class SeenDent:
         """(m, 2) the places that were dented [m]: all that sank by `DENTED` of the deepest."""
         sunk = self.sunk_m
         return np.asarray(self.before[sunk >= DENTED * sunk.max(), :2])
+
+
+class SurfaceHeights(Protocol):
+    """A surface with known heights at requested places, such as a `HeightProcess`."""
+
+    def at(self, places_m: FloatArray) -> ProcessPrediction:
+        """Prediction at places (n, 2) [m]."""
+
+
+def dent_of(
+    world: SurfaceHeights, touched: SurfaceHeights, place_m: FloatArray, cell_m: float = COARSE_GRID_M
+) -> SeenDent:
+    """The dent in a square of `SIDE_M` around a place (2,) [m]. world, touched: the surface before and under
+    touch, the second with the tactile points; cell_m: cell size of the grid"""
+    grid = MapGrid((SIDE_M, SIDE_M), cell_m)
+    places_m = np.asarray(place_m)[:2] - 0.5 * SIDE_M + grid.centres_m
+    rest, under = world.at(places_m), touched.at(places_m)
+    before, after = (np.column_stack([places_m, one.mean]) for one in (rest, under))
+    return SeenDent(before, after, grid.shape, cell_m, under.deviation)
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,9 +120,8 @@ class TouchPerception:
     """Input of a touch's estimate, and its training data; each None if missing.
 
     number: its number, from 1; masks: masks of its depth images, without those that did not show the surface; surface:
-    under it; error: error over beta [m]. In the thesis's models it is the mean distance of simulated points from the
-    nearest observed one (eq. 4.6), least at its estimate. Else it is that of particles from the points that they
-    represent, while the estimate weighs these by their noise; estimate: estimated beta, one of the tried values
+    under it; error: error over beta [m], the mean distance of particles from the points that they represent, while the
+    estimate weighs these by their noise; estimate: estimated beta, one of the tried values
     stiffness: value that the map uses, with a weight of 1 / log_sd squared; beta: training data of the field of beta"""
 
     number: int

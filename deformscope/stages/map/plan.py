@@ -2,8 +2,8 @@
 
 Touches fill the space first, where the mean variance of a field drops the most (active learning Cohn, 1996). Then those
 follow that are expected to correct most of the map's labels per second. They show the course of borders, or an
-inclusion that the map lacks (`detection_limit`), or repeat an uncertain touch. `thesis` and `inclusion_plan` have other
-rules."""
+inclusion that the map lacks (`detection_limit`), or repeat an uncertain touch. `inclusion_plan` has
+other rules."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field

@@ -2,11 +2,10 @@
 
     found = fit_touch(world, after_m, touch, thickness_m=0.05)
 
-Layers below the surface are fitted, by `deformscope.stages.poke.poke_fit`, like a poke of a pair file
-(`deformscope.stages.map.thesis` has the thesis's single layer). The data are the raw points that the camera saw while
-the tip pressed, never a smooth surface through them: a Gaussian process widens shallow dents, and beta would follow the
-depth. On linear foam the dent's shape does not depend on how firm the foam is, and beta ends at its bound for every
-modulus: the verdict `at-bound` is the normal answer.
+Layers below the surface are fitted, by `deformscope.stages.poke.poke_fit`, like a poke of a pair file. The data are the
+raw points that the camera saw while the tip pressed, never a smooth surface through them: a Gaussian process widens
+shallow dents, and beta would follow the depth. On linear foam the dent's shape does not depend on how firm the foam
+is, and beta ends at its bound for every modulus: the verdict `at-bound` is the normal answer.
 """
 
 from dataclasses import dataclass

@@ -315,36 +315,6 @@ def test_beta_comes_with_a_verdict_and_the_maps_with_its_field() -> None:
         assert 0.0 <= low <= one.beta <= high < 1.0  # type: ignore[attr-defined]
 
 
-@pytest.mark.slow  # kernels of lists in single precision
-def test_the_thesis_way_says_what_its_trend_is() -> None:
-    _, moments = explored("homogeneous-60", budget=1, beta_model="thesis")
-    (told,) = of(TouchEstimate, moments)
-    assert told.beta is not None  # type: ignore[attr-defined]
-    assert "contact patch" in told.beta_verdict  # type: ignore[attr-defined]
-
-
-@pytest.mark.slow  # several whole touches
-def test_chapter_4_starts_at_its_place_ends_by_its_variance_and_cuts_along_isopleths() -> None:
-    """Of foam and something rigid, by a volume: a single layer finds a beta of 0 in either."""
-    _, moments = explored("two-150-rigid", budget=8, planner="thesis", beta_model="volume", seed=1000)
-    touches = [one for one in moments if isinstance(one, TouchEstimate)]
-    maps = [one for one in moments if isinstance(one, MapEstimate)]
-    plans = [one for one in moments if isinstance(one, PlannedTouch)]
-    assert plans[0].target_m == pytest.approx([0.15, 0.2])
-    assert plans[-1].stop_reason == "nothing above the threshold"
-    assert 3 <= len(touches) <= 6
-    assert [one.beta == 0.0 for one in touches] == [one.rigid for one in touches]
-    last = maps[-1]
-    assert last.region_count == 2
-    assert last.iou > 0.6
-    assert last.level_n_per_mm[0] < last.level_n_per_mm[1]
-
-
-def test_chapter_4_needs_a_beta() -> None:
-    with pytest.raises(InputError, match="beta model for the thesis's planner"):
-        ExploreOptions(planner="thesis", beta_model="none")
-
-
 @pytest.mark.slow  # several whole touches
 def test_it_goes_on_where_it_is_told_to() -> None:
     """A gradient is soon known; the plan still says that it would stop."""

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from deformscope.arrays import FloatArray
-from deformscope.errors import InputError
 from deformscope.experiments.explore.explore import AtOnce, Exploration, RecordedRobot, explore, within_loop
 from deformscope.experiments.explore.explorer import ExplorationStages, UnseenSurface
 from deformscope.experiments.explore.options import ExploreOptions
@@ -117,11 +116,6 @@ def test_what_was_found_is_recorded_without_loss(first: tuple[BumpRobot, Explora
     inclusions = found.inclusions
     assert inclusions is not None
     assert differing(inclusions, from_components(InclusionsResult, to_components(inclusions))) is None
-
-
-def test_it_has_a_planner_of_its_own() -> None:
-    with pytest.raises(InputError, match="planner of --goal"):
-        ExploreOptions(goal="inclusions", planner="thesis")
 
 
 def test_an_edge_is_no_soft_lump(first: tuple[BumpRobot, Exploration, list[object]]) -> None:

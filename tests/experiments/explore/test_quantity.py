@@ -12,7 +12,7 @@ from deformscope.experiments.explore.options import (
     RelaxedStiffness,
     StiffnessAtReferenceSpeed,
 )
-from deformscope.experiments.explore.search import InclusionSearch, RegionSearch, ThesisSearch
+from deformscope.experiments.explore.search import InclusionSearch, RegionSearch
 from deformscope.stages.fit.estimate import Doubt
 from deformscope.stages.map.measured import TouchMeasurement
 from deformscope.stages.poke.creep import REFERENCE_SPEED_M_S, CreepFit
@@ -79,23 +79,13 @@ def test_options_carry_what_is_sought(monkeypatch: pytest.MonkeyPatch) -> None:
         RegionPosterior, "before_touches", lambda *given, seed: few(*given, particle_count=50, seed=seed)
     )
     grid, error = MapGrid((0.2, 0.2), 0.02), TouchErrorModel(gain_sd=0.02)
-    regions, thesis, inclusions = (
+    regions, inclusions = (
         options.search(grid, error)
-        for options in (
-            ExploreOptions(),
-            ExploreOptions(planner="thesis"),
-            ExploreOptions(goal="inclusions", inclusion_m=0.02),
-        )
+        for options in (ExploreOptions(), ExploreOptions(goal="inclusions", inclusion_m=0.02))
     )
     assert type(regions) is RegionSearch
-    assert isinstance(thesis, ThesisSearch)
     assert isinstance(inclusions, InclusionSearch)
     assert [one.posterior.prior.error.gain_sd for one in (regions, inclusions)] == [0.02, 0.02]
-    assert [ExploreOptions().first_place(grid.size_m, one) is None for one in (regions, thesis)] == [True, False]
-    felt = thesis.with_beta(np.array([[0.1, 0.1]]), 0.4)
-    assert isinstance(felt, ThesisSearch)
-    assert (felt.thesis.touches, thesis.thesis.touches) == ((0.4,), ())
-    assert regions.with_beta(np.array([[0.1, 0.1]]), 0.4) is regions
 
 
 def test_an_approach_is_a_touch_without_its_hold_and_its_way_back() -> None:

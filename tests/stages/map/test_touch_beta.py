@@ -9,12 +9,11 @@ from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.lab import slab
 from deformscope.stages.map.surface import HeightProcess, fit_surface
-from deformscope.stages.map.thesis import THESIS_NOTE, dent_of, thesis_beta
 from deformscope.stages.map.touch_beta import BallContact, fit_touch
 from deformscope.stages.msm.poke import Law, Poke, Tip, press
 from deformscope.stages.poke.layers import MeasuredSurface
 from deformscope.stages.poke.poke_fit import scene_below
-from deformscope.stages.see.cloud import contact_radius_m, tactile_points
+from deformscope.stages.see.cloud import contact_radius_m
 
 THICKNESS, RADIUS, AT = 0.05, 0.01, np.array([0.1, 0.1])
 
@@ -120,45 +119,3 @@ def test_too_few_points_and_touches_that_did_not_sink_in_are_refused(level: Heig
     elsewhere = BallContact(np.array([0.9, 0.9, 0.04]), RADIUS, 0.004)
     with pytest.raises(InputError):
         fit_touch(level, of_our_own(0.5, 0.006) + np.array([0.8, 0.8, 0.0]), elsewhere, thickness_m=THICKNESS)
-
-
-@pytest.mark.slow  # kernels of lists in single precision
-def test_the_thesiss_model_holds_its_lowest_point_and_says_what_its_trend_is(level: HeightProcess) -> None:
-    depth = 0.006
-    after = of_our_own(0.0, depth, 1e-4)
-    tactile = tactile_points(np.array([*AT, THICKNESS - depth]), RADIUS, depth)
-    touched = fit_surface(
-        after, noise_m=np.full(len(after), 1e-3), known_m=tactile, known_noise_m=np.full(len(tactile), 2e-4)
-    )
-    found = thesis_beta(dent_of(level, touched, AT))
-    assert 0.0 <= found.beta <= found.curve.parameter[-1]
-    assert len(found.simulated_m) == 15 * 15
-    assert (found.simulated_m[:, 2] - THICKNESS).min() == pytest.approx(-found.depth_m, abs=1e-5)
-    assert found.depth_m == pytest.approx(depth, rel=0.25)
-    assert found.error_m == found.curve.aee[np.flatnonzero(found.curve.parameter == found.beta)[0]]
-    assert found.note == THESIS_NOTE
-    assert "patch" in found.note
-
-
-@pytest.mark.slow  # kernels of lists in single precision
-def test_the_thesiss_model_finds_its_own_beta(level: HeightProcess) -> None:
-    """A surface made by that very model, deep enough for a single layer to feel beta."""
-    from deformscope.stages.gaussian_process import ProcessPrediction
-    from deformscope.stages.msm import clusters
-    from deformscope.stages.msm.solver import Msm
-    from deformscope.stages.regions.touches import MapGrid
-
-    grid = MapGrid((0.15, 0.15), 0.01)
-    rest = np.column_stack([0.025 + grid.centres_m, np.full(225, THICKNESS)])
-    row, column = np.unravel_index(np.arange(225), grid.shape)
-    held = np.append(np.flatnonzero((row % 14 == 0) | (column % 14 == 0)), 7 * 15 + 7)
-    at = rest[held].copy()
-    at[-1, 2] -= 0.03
-    body = Msm(rest, clusters.lattice(rest, grid.shape, np.arange(225), 3), held, basis="linear", precision="float64")
-    heights = body.relax(at[None], np.array([0.8]), np.array([0.0])).position[0, :, 2]
-
-    class Made:
-        def at(self, places: FloatArray) -> ProcessPrediction:
-            return ProcessPrediction(heights, np.zeros(225))
-
-    assert thesis_beta(dent_of(level, Made(), AT)).beta == pytest.approx(0.8, abs=0.12)

@@ -11,27 +11,44 @@ independent measurements. Its variance shows the distance from dents, not the un
 """
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Protocol
+from functools import partial
+from typing import Annotated
 
 import numpy as np
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.special import ndtr
 from threadpoolctl import threadpool_limits
+from tyro.conf import arg
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.config import flags
+from deformscope.config.options import Flags
 from deformscope.errors import InputError
+from deformscope.experiments.explore.beta_fit import touch_surface
+from deformscope.experiments.explore.explorer import Explorer, UnseenSurface
+from deformscope.experiments.explore.options import ExploreOptions
+from deformscope.experiments.explore.search import RegionSearch
+from deformscope.experiments.explore.seen_surface import SeenSurface
+from deformscope.experiments.explore.touch_fit import TouchContact
 from deformscope.stages.fit.distance import nearest_error
 from deformscope.stages.fit.estimate import Curve
 from deformscope.stages.gaussian_process import Kernel, ProcessPrediction
 from deformscope.stages.map.detection_limit import INCLUSION_RADII_M, detection_limit
+from deformscope.stages.map.exploration import TouchEstimate
 from deformscope.stages.map.field import FieldMap
-from deformscope.stages.map.perception import COARSE_GRID_M, SeenDent
+from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
+from deformscope.stages.map.perception import SeenDent
 from deformscope.stages.map.plan import PlannedPlaces, PlanOptions, TouchChoice
 from deformscope.stages.msm import clusters
 from deformscope.stages.msm.poke import Law, PokeSetup, hold, settle
+from deformscope.stages.poke.contact import ContactFit
+from deformscope.stages.poke.creep import CreepFit
 from deformscope.stages.poke.poke_fit import DOWN
+from deformscope.stages.regions.levels import RegionPrior
 from deformscope.stages.regions.posterior import RegionPosterior
+from deformscope.stages.regions.touch_error import TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid
 
 SIGMA_E, SIGMA_W_M, SIGMA_N = 1.0, 0.5, 0.05
@@ -47,8 +64,8 @@ FIRST_SHARE = (0.25, 0.5)
 APART = 0.1
 """Touches whose betas are farther apart have an isopleth between them: ten steps of the sweep of Algorithm 3."""
 
-THESIS_SIDE_M, THESIS_STEP = 0.15, 0.01
-"""Side of the square around a touch; the thesis's grid (4.4) and step of the sweep of beta (Algorithm 3)."""
+THESIS_STEP = 0.01
+"""The thesis's step of the sweep of beta (Algorithm 3)."""
 
 THESIS_NOTE = (
     "a trend of this beta with firmness is an effect of the contact patch, which grows with the dent. One "
@@ -59,25 +76,6 @@ THESIS_NOTE = (
 
 
 # beta of a dent ------------------------------------------------------------------------------------------------------
-
-
-class SurfaceHeights(Protocol):
-    """A surface with known heights at requested places, such as a `HeightProcess`."""
-
-    def at(self, places_m: FloatArray) -> ProcessPrediction:
-        """Prediction at places (n, 2) [m]."""
-
-
-def dent_of(
-    world: SurfaceHeights, touched: SurfaceHeights, place_m: FloatArray, cell_m: float = COARSE_GRID_M
-) -> SeenDent:
-    """The dent in a square of `THESIS_SIDE_M` around a place (2,) [m]. world, touched: the surface before and under
-    touch, the second with the tactile points; cell_m: cell size of the grid"""
-    grid = MapGrid((THESIS_SIDE_M, THESIS_SIDE_M), cell_m)
-    places_m = np.asarray(place_m)[:2] - 0.5 * THESIS_SIDE_M + grid.centres_m
-    rest, under = world.at(places_m), touched.at(places_m)
-    before, after = (np.column_stack([places_m, one.mean]) for one in (rest, under))
-    return SeenDent(before, after, grid.shape, cell_m, under.deviation)
 
 
 def swept_betas(step: float) -> FloatArray:
@@ -256,3 +254,96 @@ def plan_thesis_touch(
         limit = detection_limit(posterior, places.made_m, {*INCLUSION_RADII_M, options.inclusion_m})
     gain = np.where(places.allowed, variance, np.nan)
     return places.choice(limit, gain, "variance", score, stop, why)
+
+
+_GRID = flags.Rule(lambda grid: 0.002 <= grid <= 0.02, "a {flag} of 0.002 to 0.02 m")
+_STEP = flags.Rule(lambda step: 0.001 <= step <= 0.5, "a {flag} of 0.001 to 0.5")
+_WIDTH = flags.Rule(lambda width: 0.05 <= width <= 10.0, "a {flag} of 0.05 to 10 m")
+
+
+@dataclass(frozen=True, slots=True)
+class ThesisFlags(Flags):
+    """Chapter 4 by its own rules. The defaults are the thesis's."""
+
+    beta_grid_m: Annotated[float, arg(name="beta-grid", metavar="M"), _GRID] = 0.005
+    """Spacing of the particles of the thesis's sweep, and of the places whose variance is evaluated [m]."""
+    beta_step: Annotated[float, _STEP] = THESIS_STEP
+    """Step of the thesis's sweep of beta, from 0 to below 1."""
+    sigma_w_m: Annotated[float, arg(name="sigma-w", metavar="M"), _WIDTH] = SIGMA_W_M
+    """Width of the kernel [m]. Together with Th it alone determines the number of touches (n of table 4.1), whatever
+    they measure. The thesis does not print it; with the default, 60 x 40 cm of one foam take its 3 touches."""
+
+
+@dataclass(frozen=True)
+class ThesisOptions(ExploreOptions):
+    """An exploration by the thesis's rules. beta is not that of `explore`, so that `beta_model` is "none"."""
+
+    thesis: ThesisFlags = field(default_factory=ThesisFlags)
+
+    @property
+    def planning(self) -> PlanOptions:
+        return dataclasses.replace(super().planning, cell_m=self.thesis.beta_grid_m)
+
+    def search(self, grid: MapGrid, error: TouchErrorModel) -> "ThesisSearch":
+        posterior = RegionPosterior.before_touches(grid, RegionPrior(error=error), seed=self.seed)
+        return ThesisSearch(posterior, self.seed, ThesisField(width_m=self.thesis.sigma_w_m))
+
+
+@dataclass(frozen=True, eq=False)
+class ThesisSearch(RegionSearch):
+    """Search for the thesis's regions. seed: seed of the random choices; thesis: the field of beta; made: number of
+    touches"""
+
+    seed: int = 0
+    thesis: ThesisField = field(default_factory=ThesisField)
+    made: int = 0
+
+    def planner(self) -> Callable[..., TouchChoice]:
+        return partial(plan_thesis_touch, self.thesis, self.posterior, seed=self.seed + self.made)
+
+
+class ThesisSurface(UnseenSurface):
+    """An exploration by `ThesisOptions` before its look."""
+
+    def look(self, looked: SurfaceMeasurement) -> "ThesisExplorer":
+        seen = SeenSurface.of(looked, self.grid, self.options, on_level_layer=self.search.on_level_layer)
+        return ThesisExplorer(self, seen)
+
+
+class ThesisExplorer(Explorer):
+    """Adds to each touch the thesis's beta of its dent. dents: dents of the touches with a beta, None for a rigid one"""
+
+    def __init__(self, unseen: UnseenSurface, surface: SeenSurface) -> None:
+        super().__init__(unseen, surface)
+        self.dents: list[SeenDent | None] = []
+
+    @property
+    def field(self) -> ThesisField:
+        """The field of beta after the touches so far."""
+        assert isinstance(self.search, ThesisSearch)
+        return self.search.thesis
+
+    def _estimate(
+        self, touched: TouchMeasurement, contact: TouchContact | None, creep: CreepFit | None
+    ) -> TouchEstimate:
+        found = None if contact is None else self._stage("beta", lambda: self._beta(touched, contact.fit))
+        after = self.field
+        if found is not None:
+            beta, dented_m, dent = found
+            self.dents.append(dent)
+            after = after.with_touch(dented_m, beta)
+        assert isinstance(self.search, ThesisSearch)
+        self.search = dataclasses.replace(self.search, thesis=after, made=len(self.touches) + 1)
+        return super()._estimate(touched, contact, creep)
+
+    def _beta(self, touched: TouchMeasurement, fit: ContactFit) -> tuple[float, FloatArray, SeenDent | None]:
+        """beta, dented places (m, 2) [m], and the dent."""
+        options = self.options
+        assert isinstance(options, ThesisOptions)
+        if fit.rigid:  # nothing moved, so every beta fits: the first of the sweep, where the tip was
+            radius = options.tip_radius_m
+            grid = MapGrid((4.0 * radius, 4.0 * radius), options.cell_m)
+            dented = np.linalg.norm(grid.centres_m - 2.0 * radius, axis=1) <= radius
+            return 0.0, touched.xy_m - 2.0 * radius + grid.centres_m[dented], None
+        dent = touch_surface(touched, fit, self.surface, self._arm, options, options.thesis.beta_grid_m).dent
+        return thesis_beta(dent, step=options.thesis.beta_step).beta, dent.dented_m, dent
