@@ -402,7 +402,6 @@ def read_rows() -> list[tuple[str, ...]]:
             "remote, error and FD frames are counted and left out",
         ),
         (bag, "messages that are not of ROS 1 or 2, services", "", "", "", "listed as not read; the rest is imported"),
-        ("folder of meshes (`--pairs`)", "meshes with forces", "m, N", "the meshes'", "none", ""),
     ]
 
 

@@ -134,7 +134,7 @@ def import_(config: ImportConfig) -> int:
     deformscope import --inspect bag.mcap > map.toml
     deformscope import bag.mcap --map map.toml --record run.rrd
     """
-    from deformscope.runs.importing import import_source, import_take, inspect_source
+    from deformscope.runs.importing import import_source, inspect_source
 
     if config.inspect:
         found = inspect_source(config)
@@ -145,7 +145,7 @@ def import_(config: ImportConfig) -> int:
         shown = {"source": config.source, "topics": found.topics, "map": found.toml}
         common.write_json(shown | {"streams": [one.as_json() for one in found.values]}, config.output.json)
         return 0
-    result = import_source(config) if config.pairs is None else import_take(config, config.pairs)
+    result = import_source(config)
     common.show(result)
     common.write_json(result.as_json(), config.output.json)
     if losses := result.losses:

@@ -252,16 +252,6 @@ class ImportConfig(RecordedOptions):
     (--map, or the proposed one) has its rate, share of valid values, smallest, median and largest, in SI units."""
     picture: flags.PictureFlag = None
     """With --inspect: draw the streams."""
-    pairs: Annotated[Path | None, flags.one_word("FOLDER", Path), flags.unset] = None
-    """For a folder of meshes with forces (PokeFlex): write pair files and a motion file, into a new folder."""
-    unseen: Annotated[int, flags.least(2)] = 4
-    """With --pairs: every n-th frame is left out of the motion, for tests."""
-    particles: Annotated[int, flags.least(8)] = 300
-    """With --pairs: largest number of vertices per mesh, spread evenly."""
-    up: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None
-    """With --pairs: axis of the meshes that is up; default: from the face that stays to the tool."""
-    rest: flags.CountFlag = None
-    """With --pairs: number of the frame before any touch; default: the first, or that of the least force."""
     largest_mb: Annotated[int, flags.least(1)] = 128
     """Most memory for an image, a cloud of points, a compressed part of a bag or a table's columns [MB]: a larger one,
     declared or unpacked, is refused."""
@@ -269,10 +259,10 @@ class ImportConfig(RecordedOptions):
     output: OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
 
     def check(self) -> None:
-        asked = [self.inspect, self.output.record is not None, self.pairs is not None]
-        if sum(asked) != 1:
-            came = "several" if any(asked) else "neither"
-            raise InputError("--record FILE.rrd with --map FILE.toml, --inspect, or --pairs FOLDER", came)
+        if self.inspect == (self.output.record is not None):
+            raise InputError(
+                "--record FILE.rrd with --map FILE.toml, or --inspect", "both" if self.inspect else "neither"
+            )
         if self.picture is not None and not self.inspect:
             raise InputError("--picture with --inspect", "--picture alone")
 

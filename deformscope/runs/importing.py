@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import msgspec
@@ -11,14 +10,11 @@ import numpy as np
 from deformscope.config import ImportConfig
 from deformscope.errors import InputError, printable
 from deformscope.experiments.live.live_stages import StageCounts, live_stages
-from deformscope.file_io import none_larger, refusal
+from deformscope.file_io import none_larger
 from deformscope.files.delimited import cut_words
-from deformscope.files.motions import parse_motion
-from deformscope.files.pairs import parse_pair
 from deformscope.frames import HealthReport
 from deformscope.imports.import_map import ImportMap, read_map
 from deformscope.imports.inspect import Found, inspect, propose
-from deformscope.imports.mesh_take import read_take
 from deformscope.imports.readers import open_reader
 from deformscope.imports.source import ImportSource
 from deformscope.imports.values import StreamValues, stream_values
@@ -125,35 +121,6 @@ def import_source(config: ImportConfig) -> RecordResult:
             last = finish(source, recorder)
             recorder.stopped_because("the source is at its end")
         return _result(config, source, last, recorder.summary(), counts)
-
-
-def import_take(config: ImportConfig, folder: Path) -> RecordResult:
-    """Write a take's frames as pair files and a motion file into a new folder. Raises InputError for errors of the
-    take; then no file remains."""
-    take = read_take(config.source, config.particles, config.up, config.rest)
-    pressed = np.flatnonzero(take.touched.any(axis=1))
-    if not pressed.size:
-        came = f"none, with {take.up} up and frame {take.rest_frame} at rest"
-        raise InputError("a frame in which a part above the table moved by 1 mm", came, "--up, --rest", config.source)
-    unseen = pressed[config.unseen - 1 :: config.unseen]
-    kinds = {int(at): "unseen" if at in unseen else "pair" for at in pressed}
-    files = {f"{kind}-{take.frames[at]:05}.npz": take.pair(at) for at, kind in kinds.items()}
-    for name, raw in files.items():
-        parse_pair(raw, f"{config.source}, {name}")
-    files["motion.npz"] = take.motion(unseen)
-    parse_motion(files["motion.npz"], config.source)
-    try:
-        folder.mkdir(parents=True, exist_ok=config.output.overwrite)
-    except OSError as error:
-        raise InputError("a new folder for --pairs", refusal(error), where=folder) from error
-    for name, raw in files.items():
-        (folder / name).write_bytes(raw)
-    counts = [f"{len(pressed) - len(unseen)} pairs", f"{len(unseen)} unseen", f"a motion of {len(take.frames)} frames"]
-    found = {"source": config.source, "files": [str(folder / one) for one in files], "cameras": take.cameras}
-    found |= {"up": take.up, "rest_frame": take.rest_frame}
-    rows = [("written", ", ".join(counts)), ("up, at rest", f"{take.up}, in frame {take.rest_frame}")]
-    rows += [("cameras", ", ".join(take.cameras) or "none"), ("folder", str(folder))]
-    return RecordResult(cast("dict[str, Any]", plain(found)), Table(rows, caption=str(config.source)))
 
 
 def _result(

@@ -311,7 +311,7 @@ class ThesisSurface(UnseenSurface):
 
 
 class ThesisExplorer(Explorer):
-    """Adds to each touch the thesis's beta of its dent. dents: dents of the touches with a beta, None for a rigid one"""
+    """Adds to each touch the thesis's beta of its dent. dents: dents of touches with a beta, None if rigid"""
 
     def __init__(self, unseen: UnseenSurface, surface: SeenSurface) -> None:
         super().__init__(unseen, surface)

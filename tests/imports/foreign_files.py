@@ -262,28 +262,6 @@ def ply(draw: Draw) -> bytes:
     return head + b"".join(np.array([1], order + kind.get(one, "f4")).tobytes() for one in kinds) * min(count, 12)
 
 
-def take(draw: Draw, folder: Path) -> Commands:
-    """Meshes with forces."""
-    source = folder / "take"
-    (source / "meshes").mkdir(parents=True)
-    readings = []
-    for at in range(draw.size(COUNT, 8)):
-        frame = draw.odd(at + 1, *SIZES, 10**20, -1, chance=0.05)
-        name = f"mesh-f{frame:05}.obj"
-        count = draw.odd(8, 0, 1, 9, chance=0.05)
-        rows = [
-            f"v {draw.real(v % 2 * 50.0)} {draw.real(v // 2 % 2 * 50.0)} {draw.real(v // 4 * 50.0 - at)}"
-            for v in range(count)
-        ]
-        (source / "meshes" / name).write_text("\n".join([*rows, "f 1 2 3"]) + "\n")
-        readings.append(
-            {"frame": frame, "forces": [draw.odd(1.0, 1e300, -1e300, 0) for _ in range(draw.odd(3, 6, 0, 2))]}
-        )
-    text = json.dumps(readings) if draw.random() > 0.05 else "[" * 50_000
-    (source / "robot_data.json").write_text(text)
-    return [["import", str(source), "--pairs", str(folder / "pairs"), "--particles", "8"]]
-
-
 @cache
 def stores() -> tuple[Any, Any]:
     """Types of ROS 1 and ROS 2."""
@@ -443,7 +421,7 @@ def urdf(draw: Draw, folder: Path) -> Commands:
 
 
 KINDS: dict[str, Callable[[Draw, Path], Commands]] = {
-    one.__name__: one for one in (table, export, capture, images, points, take, bag, urdf, arrays)
+    one.__name__: one for one in (table, export, capture, images, points, bag, urdf, arrays)
 }
 """Each kind of file, and what reads it."""
 

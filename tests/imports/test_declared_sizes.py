@@ -378,10 +378,6 @@ def test_what_is_nested_too_deeply_is_one_line(tmp_path: Path, capfd: pytest.Cap
     text = map_of(AXES, unit="mN")
     error = refused(csv(tmp_path / "t.csv", f"t,Fx,Fy,Fz\n0,{deep},1,1\n"), text, tmp_path / "r.rrd", capfd)
     assert "a wrench frame of tip; got in frame 0" in error
-    (tmp_path / "take").mkdir()
-    (tmp_path / "take" / "robot_data.json").write_text(deep)
-    assert main(["import", str(tmp_path / "take"), "--pairs", str(tmp_path / "pairs")]) == 2
-    assert "a list of frame and forces" in capfd.readouterr().err
 
 
 PCD = (

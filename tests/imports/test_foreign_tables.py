@@ -305,7 +305,7 @@ def test_a_map_is_judged_by_five_numbers_and_a_picture(tmp_path: Path, capfd: py
     assert png.read_bytes()[:4] == b"\x89PNG"
     text = "# stream tip (wrench): 100/s, 99.17 % valid; smallest, median, largest: force_x 0.0015, 0.0015, 0.0015 N"
     assert text in found["map"]
-    assert main(["import", str(source), "--picture", str(png), "--pairs", str(tmp_path / "out")]) == 2
+    assert main(["import", str(source), "--picture", str(png), "--record", str(tmp_path / "r.rrd")]) == 2
     assert "expected --picture with --inspect" in capfd.readouterr().err
 
 

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deformscope.cli import main
+from deformscope import cli
 from deformscope.files.motions import parse_motion
 from deformscope.files.pairs import parse_pair
+from studies.__main__ import main
 
 SIZE_MM = np.array([60.0, 50.0, 40.0])
 DEPTHS_MM = [0.0, 0.2, 1.5, 3.0, 4.5, 6.0, 6.0, 4.0]
@@ -53,7 +54,7 @@ def write_take(folder: Path) -> Path:
 def test_a_take_becomes_pairs_and_a_motion_that_are_fitted(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     take, out = write_take(tmp_path / "Cube" / "take1"), tmp_path / "out"
     flags = ["--pairs", str(out), "--unseen", "3", "--particles", "150", "--json", str(tmp_path / "found.json")]
-    assert main(["import", str(take), *flags]) == 0
+    assert main(["takes", "--take", str(take), *flags]) == 0
     assert sorted(json.loads((tmp_path / "found.json").read_text())["cameras"]) == ["kinect", "volucam"]
     names = [f"pair-{frame:05}.npz" for frame in (3, 4, 6, 7)] + [f"unseen-{frame:05}.npz" for frame in (5, 8)]
     assert sorted(one.name for one in out.iterdir()) == sorted([*names, "motion.npz"])
@@ -81,10 +82,10 @@ def test_a_take_becomes_pairs_and_a_motion_that_are_fitted(tmp_path: Path, capfd
     assert seen[motion.held].all()
     capfd.readouterr()
     model = tmp_path / "model.npz"
-    assert main(["calibrate", "beta", str(out / "pair-00006.npz"), "--save", str(model), "--json", "-"]) == 0
+    assert cli.main(["calibrate", "beta", str(out / "pair-00006.npz"), "--save", str(model), "--json", "-"]) == 0
     assert json.loads(capfd.readouterr().out)["stiffness_n_per_m"]["value"] > 0.0
     middle = "at=0.03,0.025,0.04 depth=0.003"
-    assert main(["predict", str(model), "--poke", middle, "--json", "-"]) == 0
+    assert cli.main(["predict", str(model), "--poke", middle, "--json", "-"]) == 0
     poke = json.loads(capfd.readouterr().out)["predictions"][0]
     assert 0.3 * N_PER_MM * 3.0 < poke["force_n"] < 3.0 * N_PER_MM * 3.0
 
@@ -122,7 +123,7 @@ def still_of(out: Path) -> tuple[Any, Any]:
 def test_any_axis_may_be_up_and_any_frame_at_rest(up: str, order: slice, tmp_path: Path) -> None:
     """The sides of this block stay, too: the axis of the force tells, or the user is asked."""
     take = turned(tmp_path / "take", up, order)
-    flags = ["import", str(take), "--particles", "250", "--pairs", str(tmp_path / "out")]
+    flags = ["takes", "--take", str(take), "--particles", "250", "--pairs", str(tmp_path / "out")]
     if main(flags) != 0:
         assert main([*flags, f"--up={up}"]) == 0
     rest, still = still_of(tmp_path / "out")
@@ -139,21 +140,21 @@ def test_any_axis_may_be_up_and_any_frame_at_rest(up: str, order: slice, tmp_pat
 def test_a_face_that_moves_is_not_on_the_table(up: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """Its sides bulge: only one face stays, and nothing is asked."""
     take = turned(tmp_path / "take", up, bulging=0.3)
-    assert main(["import", str(take), "--pairs", str(tmp_path / "out"), "--json", "-"]) == 0
+    assert main(["takes", "--take", str(take), "--pairs", str(tmp_path / "out"), "--json", "-"]) == 0
     assert json.loads(capfd.readouterr().out)["up"] == up
 
 
 def test_what_the_forces_refute_is_asked(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     back = turned(tmp_path / "take", "z", slice(None, None, -1), -9.0)
-    flags = ["import", str(back), "--pairs", str(tmp_path / "out")]
+    flags = ["takes", "--take", str(back), "--pairs", str(tmp_path / "out")]
     assert main([*flags, "--rest", "8", "--json", "-"]) == 0
     assert json.loads(capfd.readouterr().out)["rest_frame"] == 8
     biased = turned(tmp_path / "biased", "z", slice(4, None, -1), 2.0)
-    assert main(["import", str(biased), "--pairs", str(tmp_path / "b")]) == 2
+    assert main(["takes", "--take", str(biased), "--pairs", str(tmp_path / "b")]) == 2
     assert "got 5.15 N in frame 1, and 2 N at least, in frame 5 | try: --rest FRAME" in capfd.readouterr().err
-    assert main(["import", str(biased), "--pairs", str(tmp_path / "b"), "--rest", "9"]) == 2
+    assert main(["takes", "--take", str(biased), "--pairs", str(tmp_path / "b"), "--rest", "9"]) == 2
     assert "--rest FRAME with a mesh and a force; got 9 | try: 1 to 5" in capfd.readouterr().err
-    assert main(["import", str(biased), "--pairs", str(tmp_path / "b"), "--rest", "5", "--up=-z"]) == 2
+    assert main(["takes", "--take", str(biased), "--pairs", str(tmp_path / "b"), "--rest", "5", "--up=-z"]) == 2
     assert "a part above the table moved by 1 mm" in capfd.readouterr().err
 
 
@@ -165,7 +166,7 @@ def test_cameras_two_folders_deep_and_of_other_makers(tmp_path: Path, capfd: pyt
     ):
         (take / name).mkdir(parents=True)
         (take / name / "camera_parameters.json").write_text(json.dumps(said))
-    flags = ["import", str(take), "--pairs", str(tmp_path / "out"), "--json", "-"]
+    flags = ["takes", "--take", str(take), "--pairs", str(tmp_path / "out"), "--json", "-"]
     assert main(flags) == 2
     said = capfd.readouterr().err
     assert "expected extrinsics (4, 4) or color_extrinsics; got another shape" in said
@@ -226,7 +227,7 @@ def test_what_is_wrong_with_a_take_is_one_line(name: str, tmp_path: Path, capfd:
     spoil, words = CASES[name]
     take = write_take(tmp_path / "take")
     spoil(take)
-    assert main(["import", str(take), "--pairs", str(tmp_path / "out")]) == 2
+    assert main(["takes", "--take", str(take), "--pairs", str(tmp_path / "out")]) == 2
     error = capfd.readouterr().err
     assert words in error
     assert len(error.strip().splitlines()) == 1

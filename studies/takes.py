@@ -1,4 +1,8 @@
-"""A take of another laboratory's poked object, as pairs and a motion: meshes with forces, in the form of PokeFlex.
+"""`python -m studies takes`: pairs and a motion of another laboratory's poked object, from meshes with forces.
+
+python -m studies takes --take FoamDice/take1 --pairs dice
+
+In the form of PokeFlex:
 
 robot_data.json: a list of {"frame": 1, "forces": [x, y, z(, torques)]} [N]; meshes/mesh-f00001.obj: one for each frame,
 with the same vertices [mm]; CAMERA/camera_parameters.json or CAMERA/NUMBER/...: intrinsics and extrinsics, of a Kinect
@@ -9,14 +13,20 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.config import flags
 from deformscope.errors import InputError
-from deformscope.file_io import read_file
+from deformscope.file_io import read_file, refusal
+from deformscope.files.motions import parse_motion
+from deformscope.files.pairs import parse_pair
+from deformscope.pictures.report import Table
+from deformscope.plain import plain
+from studies.runner import Study, StudyOptions, StudyReport
 
 MESH = re.compile(r"mesh-f(\d{1,9})\.obj$")
 MM = 1e-3
@@ -200,3 +210,52 @@ def _npz(**arrays: Any) -> bytes:
     file = io.BytesIO()
     np.savez(file, allow_pickle=False, **arrays)
     return file.getvalue()
+
+
+@dataclass(frozen=True, slots=True)
+class TakesConfig(StudyOptions):
+    """Write a take's frames as pair files and a motion file into a new folder."""
+
+    take: Annotated[Path, flags.one_word("FOLDER", Path)] = Path()
+    """Folder of meshes with forces (PokeFlex)."""
+    pairs: Annotated[Path, flags.one_word("FOLDER", Path)] = Path("runs/take")
+    """New folder for the files."""
+    unseen: Annotated[int, flags.least(2)] = 4
+    """Every n-th frame is left out of the motion, for tests."""
+    particles: Annotated[int, flags.least(8)] = 300
+    """Largest number of vertices per mesh, spread evenly."""
+    up: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None
+    """Axis of the meshes that is up; default: from the face that stays to the tool."""
+    rest: flags.CountFlag = None
+    """Number of the frame before any touch; default: the first, or that of the least force."""
+
+
+def report(options: TakesConfig, seconds: float) -> StudyReport:
+    """The files. Raises InputError for errors of the take; then no file remains."""
+    source, folder = options.take, options.pairs
+    take = read_take(source, options.particles, options.up, options.rest)
+    pressed = np.flatnonzero(take.touched.any(axis=1))
+    if not pressed.size:
+        came = f"none, with {take.up} up and frame {take.rest_frame} at rest"
+        raise InputError("a frame in which a part above the table moved by 1 mm", came, "--up, --rest", source)
+    unseen = pressed[options.unseen - 1 :: options.unseen]
+    kinds = {int(at): "unseen" if at in unseen else "pair" for at in pressed}
+    files = {f"{kind}-{take.frames[at]:05}.npz": take.pair(at) for at, kind in kinds.items()}
+    for name, raw in files.items():
+        parse_pair(raw, f"{source}, {name}")
+    files["motion.npz"] = take.motion(unseen)
+    parse_motion(files["motion.npz"], source)
+    try:
+        folder.mkdir(parents=True)
+    except OSError as error:
+        raise InputError("a new folder for --pairs", refusal(error), where=folder) from error
+    counts = [f"{len(pressed) - len(unseen)} pairs", f"{len(unseen)} unseen", f"a motion of {len(take.frames)} frames"]
+    found = {"source": source, "files": [str(folder / one) for one in files], "cameras": take.cameras}
+    found |= {"up": take.up, "rest_frame": take.rest_frame}
+    rows = [("written", ", ".join(counts)), ("up, at rest", f"{take.up}, in frame {take.rest_frame}")]
+    rows += [("cameras", ", ".join(take.cameras) or "none"), ("folder", str(folder))]
+    table = Table(rows, caption=str(source))
+    return StudyReport([table], plain(found), files={folder / name: raw for name, raw in files.items()})
+
+
+STUDY = Study(TakesConfig, lambda options: [], report)
