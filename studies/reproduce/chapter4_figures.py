@@ -8,8 +8,8 @@ import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.pictures.figures import COLOURS, canvas
-from deformscope.stages.see.cloud import tactile_points
 from studies.output import figure
+from studies.reproduce.thesis_dent import tactile_points
 from studies.reproduce.thesis_rules import CLUSTER_SIZES, HOLDS, SCENARIOS, BetaField, FoamDent, Scenario
 
 LINE_WIDTH, DPI = 1.6, 130

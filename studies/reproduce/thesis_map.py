@@ -26,7 +26,6 @@ from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.config import flags
 from deformscope.config.options import Flags
 from deformscope.errors import InputError
-from deformscope.experiments.explore.beta_fit import touch_surface
 from deformscope.experiments.explore.explorer import Explorer, UnseenSurface
 from deformscope.experiments.explore.options import ExploreOptions
 from deformscope.experiments.explore.search import RegionSearch
@@ -39,7 +38,6 @@ from deformscope.stages.map.detection_limit import INCLUSION_RADII_M, detection_
 from deformscope.stages.map.exploration import TouchEstimate
 from deformscope.stages.map.field import FieldMap
 from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
-from deformscope.stages.map.perception import SeenDent
 from deformscope.stages.map.plan import PlannedPlaces, PlanOptions, TouchChoice
 from deformscope.stages.msm import clusters
 from deformscope.stages.msm.poke import Law, PokeSetup, hold, settle
@@ -50,6 +48,7 @@ from deformscope.stages.regions.levels import RegionPrior
 from deformscope.stages.regions.posterior import RegionPosterior
 from deformscope.stages.regions.touch_error import TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid
+from studies.reproduce.thesis_dent import SeenDent, seen_dent
 
 SIGMA_E, SIGMA_W_M, SIGMA_N = 1.0, 0.5, 0.05
 """Parameters of the kernel (eq. 4.5), and the noise. The thesis prints none of them ("empirically estimated based on a
@@ -345,5 +344,5 @@ class ThesisExplorer(Explorer):
             grid = MapGrid((4.0 * radius, 4.0 * radius), options.cell_m)
             dented = np.linalg.norm(grid.centres_m - 2.0 * radius, axis=1) <= radius
             return 0.0, touched.xy_m - 2.0 * radius + grid.centres_m[dented], None
-        dent = touch_surface(touched, fit, self.surface, self._arm, options, options.thesis.beta_grid_m).dent
+        dent = seen_dent(touched, fit, self.surface, self._arm, options.tip_radius_m, options.thesis.beta_grid_m)
         return thesis_beta(dent, step=options.thesis.beta_step).beta, dent.dented_m, dent

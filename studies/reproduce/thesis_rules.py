@@ -24,11 +24,11 @@ from deformscope.lab.slab import RigidTip
 from deformscope.lab.slab_world import SlabWorld
 from deformscope.stages.gaussian_process import ProcessPrediction
 from deformscope.stages.map.map_score import match_regions
-from deformscope.stages.map.perception import COARSE_GRID_M, SIDE_M, SeenDent, dent_of
 from deformscope.stages.map.touch_beta import BallContact, fit_touch
 from deformscope.stages.regions.touches import MapGrid
 from studies.reproduce.foam_fits import format_order
 from studies.reproduce.surface_robot import LabRobot, explore_at_once
+from studies.reproduce.thesis_dent import COARSE_GRID_M, SIDE_M, SeenDent, dent_of
 from studies.reproduce.thesis_map import (
     FIRST_SHARE,
     THESIS_STEP,

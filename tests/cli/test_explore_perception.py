@@ -72,21 +72,10 @@ def test_force_and_pose_are_the_forces_rows_with_the_arm_between_its_states(expl
     assert np.linalg.norm(felt.values[:, :3], axis=1).max() > 2.0
 
 
-def test_the_surface_under_a_touch_dents_where_it_was_touched(explore: Explore) -> None:
-    path = explore().record
-    (perception,), (touch,) = of(path, TouchPerception), of(path, TouchEstimate)
-    under = perception.surface
-    assert np.linalg.norm(under.dent.after[np.argmax(under.dent.sunk_m)][:2] - touch.xyz_m[:2]) < 0.011  # a cell
-    assert under.tactile_m.shape == (10, 3)
-    assert np.abs(under.tactile_m[:, :2] - touch.xyz_m[:2]).max() < 0.01
-    assert (under.dent.sd_m > 0.0).all()
-    assert under.dent.sd_m.shape == under.dent.sunk_m.shape
-    assert perception.stiffness.log_stiffness == pytest.approx(np.log(touch.stiffness_n_per_mm), abs=0.2)
-
-
 def test_the_error_over_beta_has_the_estimate_among_what_was_tried(explore: Explore) -> None:
     path = explore().record
     (perception,), (touch,) = of(path, TouchPerception), of(path, TouchEstimate)
+    assert perception.stiffness.log_stiffness == pytest.approx(np.log(touch.stiffness_n_per_mm), abs=0.2)
     assert perception.estimate == touch.beta
     assert touch.beta in perception.error.parameter
     assert perception.error_m == perception.error.aee[perception.error.parameter == touch.beta]
@@ -98,7 +87,7 @@ def test_the_frames_are_one_tree(explore: Explore) -> None:
         batch = chunk.to_record_batch()
         frames = (batch.column(f"Transform3D:{end}_frame").to_pylist() for end in ("child", "parent"))
         parents |= {child: parent for (child,), (parent,) in zip(*frames, strict=True)}
-    assert parents.keys() == {"world", "surface", "camera", "arm_base", "tool", "touch"}
+    assert parents.keys() == {"world", "surface", "camera", "arm_base", "tool"}
     for name in parents:
         way = [name]
         while way[-1] in parents:

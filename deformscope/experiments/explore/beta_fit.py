@@ -9,16 +9,8 @@ from deformscope.experiments.explore.options import ExploreOptions
 from deformscope.experiments.explore.seen_surface import SeenSurface
 from deformscope.stages.fit.estimate import Curve
 from deformscope.stages.map.measured import TouchMeasurement
-from deformscope.stages.map.perception import TouchSurface, dent_of
-from deformscope.stages.map.surface import fit_surface
 from deformscope.stages.map.touch_beta import BallContact, fit_touch
 from deformscope.stages.poke.contact import ArmCompliance, ContactFit
-from deformscope.stages.see.cloud import tactile_points
-
-THESIS_ROI_M, TACTILE_NOISE_M = 0.08, 2e-4
-"""Half the side of the square that the process of a dent sees, and the noise of its virtual points."""
-DENT_GRID_M = 0.005
-"""Spacing of the places of a dent (Thesis 4.4)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +37,7 @@ def fit_beta(
         return BetaEstimate("rigid: no dent to fit")
     if surface.layer.thickness_m is None:
         return BetaEstimate("not fitted: the foam's thickness is not known")
-    ball = _ball(touched, fit, arm, options.tip_radius_m)
+    ball = ball_at_depth(touched, fit, arm, options.tip_radius_m)
     found = fit_touch(surface.process, touched.after_m, ball, thickness_m=surface.layer.thickness_m)
     return BetaEstimate(
         found.estimate.verdict,
@@ -57,25 +49,7 @@ def fit_beta(
     )
 
 
-def touch_surface(
-    touched: TouchMeasurement,
-    fit: ContactFit,
-    surface: SeenSurface,
-    arm: ArmCompliance,
-    options: ExploreOptions,
-    cell_m: float = DENT_GRID_M,
-) -> TouchSurface:
-    """The surface under a touch that is not rigid, and the dent as in the thesis: from the touch surface's own process,
-    with virtual points where the ball is. cell_m: spacing of the dent's places"""
-    ball = _ball(touched, fit, arm, options.tip_radius_m)
-    tactile = tactile_points(ball.lowest_m, ball.radius_m, ball.depth_m, normal=touched.normal)
-    near = np.abs(touched.after_m[:, :2] - touched.xy_m).max(axis=1) < THESIS_ROI_M
-    pressed = fit_surface(touched.after_m[near], known_m=tactile, known_noise_m=np.full(len(tactile), TACTILE_NOISE_M))
-    dent = dent_of(surface.process, pressed, touched.xy_m, cell_m)
-    return TouchSurface(dent, tactile, pressed.learned)
-
-
-def _ball(touched: TouchMeasurement, fit: ContactFit, arm: ArmCompliance, radius_m: float) -> BallContact:
+def ball_at_depth(touched: TouchMeasurement, fit: ContactFit, arm: ArmCompliance, radius_m: float) -> BallContact:
     """Position of the ball at its greatest depth."""
     deepest = int(np.argmax(-(touched.position_m @ touched.normal)))
     bent_m = arm.compliance_m_per_n * fit.peak_force_n  # the arm reports it that much deeper

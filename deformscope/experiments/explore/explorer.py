@@ -15,7 +15,7 @@ import numpy as np
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.errors import InputError
 from deformscope.experiments.explore import touch_fit
-from deformscope.experiments.explore.beta_fit import BetaEstimate, fit_beta, touch_surface
+from deformscope.experiments.explore.beta_fit import BetaEstimate, fit_beta
 from deformscope.experiments.explore.options import ExploreOptions
 from deformscope.experiments.explore.robot_geometry import Geometry, Touch
 from deformscope.experiments.explore.search import SurfaceSearch
@@ -374,23 +374,16 @@ class Explorer:
             self.maps, self.region_probability = maps, self.region_map.probability
         truth_m = None if self._truth is None else self._truth.inclusions_m
         found = None if search is None else self._stage("lumps", lambda: self.search.inclusions(truth_m))
-        return estimate, self._perception(touched, contact, sample), maps, found
+        return estimate, self._perception(touched, sample), maps, found
 
-    def _perception(
-        self, touched: TouchMeasurement, contact: touch_fit.TouchContact | None, sample: StiffnessSample | None
-    ) -> TouchPerception | None:
+    def _perception(self, touched: TouchMeasurement, sample: StiffnessSample | None) -> TouchPerception | None:
         """Perception of the newest touch, with the training data of its maps; None unless requested."""
-        options, beta = self.options, self.betas[-1]
-        if not options.perception:
+        if not self.options.perception:
             return None
-        under = None
-        if options.beta_model == "volume" and contact is not None and not contact.fit.rigid:
-            given = touched.approach, contact.fit, self.surface, self._arm, options
-            under = self._stage("touch surface", lambda: touch_surface(*given))
+        beta = self.betas[-1]
         return TouchPerception(
             number=len(self.touches),
             masks=None if touched.pixels is None else touched.pixels.masks(),
-            surface=under,
             error=beta.curve,
             estimate=beta.value,
             stiffness=sample,

@@ -17,7 +17,7 @@ from deformscope.log.exploration.display import (
     SECTION,
     SUMMARY,
 )
-from deformscope.log.exploration.perception import ERROR, PIXELS, TOUCH, UNDER
+from deformscope.log.exploration.perception import ERROR, PIXELS
 from deformscope.log.exploration.perception import MAPS as FIELD_MAPS
 from deformscope.log.exploration.scene import DENT, SCENE, SURFACE_FRAME
 from deformscope.log.rig.blueprint import FLOOR, LEGEND, blueprint_of, depth_view, named, space_view
@@ -76,7 +76,7 @@ def exploration_blueprint(
                 _picture(path, f"{name.capitalize()}: recorded, {compared}") for name, path in COMPARED_TOUCHES.items()
             ]
         known = rrb.Vertical(rrb.Tabs(*regions), fields, rrb.Tabs(gain, summary))
-        at_touch = rrb.Tabs(*touches, *_sections(), *_looks(streams), *_pixels(), *_over_time(streams))
+        at_touch = rrb.Tabs(*touches, *_sections(), *_looks(streams), _pixels(), *_over_time(streams))
         robot = rrb.Vertical(_scenes(streams, size_m), at_touch, row_shares=[4, 3])
         views = rrb.Horizontal(robot, known, column_shares=[5, 4])
         return blueprint_of(views, play="paused" if compared else "following")
@@ -90,9 +90,8 @@ def exploration_blueprint(
 
 def _robot(streams: Sequence[Stream], size_m: tuple[float, float]) -> rrb.Container:
     dent, *depths = _looks(streams)
-    pixels, under = _pixels()
     *plots, lanes = _over_time(streams)
-    close = rrb.Horizontal(_tabbed([dent, under]), _tabbed([*depths, pixels]))
+    close = rrb.Horizontal(dent, _tabbed([*depths, _pixels()]))
     over_time = rrb.Vertical(*plots, lanes, row_shares=[*[1.6] * len(plots), 1.0])
     below = rrb.Horizontal(_tabbed(_sections()), over_time, column_shares=[1.0, 1.05])
     return rrb.Vertical(_scenes(streams, size_m), close, below, row_shares=[3.6, 2.7, 2.9])
@@ -106,13 +105,10 @@ def _sections() -> list[rrb.View]:
     return [_picture(SECTION, "The dent in section"), _picture(ERROR, "Error over beta")]
 
 
-def _pixels() -> list[rrb.View]:
-    """Which pixels were used, and the surface under the touch."""
+def _pixels() -> rrb.View:
+    """Which pixels were used."""
     names = "blue used, grey outside, yellow lone, red to pink robot"
-    return [
-        rrb.Spatial2DView(contents=[f"+ /{PIXELS}"], name=f"Pixels: {names}", background=list(BACKGROUND)),
-        space_view("Surface under the touch", [f"+ /{UNDER}/**"], [0.06, -0.2, 0.12], [0.0, -0.01, 0.0], frame=TOUCH),
-    ]
+    return rrb.Spatial2DView(contents=[f"+ /{PIXELS}"], name=f"Pixels: {names}", background=list(BACKGROUND))
 
 
 def _scenes(streams: Sequence[Stream], size_m: tuple[float, float]) -> rrb.Container | rrb.View:

@@ -11,21 +11,18 @@ import rerun as rr
 from scipy.spatial.transform import Rotation
 
 from deformscope.arrays import FloatArray
-from deformscope.log.canvas import TEXT
 from deformscope.log.exploration.scene import SCENE, SURFACE_FRAME, grid_of
 from deformscope.log.result_batch import ResultBatch
 from deformscope.log.rig.arm import POSE_NS
 from deformscope.log.rig.columns import log_series
 from deformscope.pictures import exploration as pictures
-from deformscope.pictures.palette import AXES, BAD, HELD, IDLE, JOINTS, OBSERVED, Rgb, colors, round_up
+from deformscope.pictures.palette import AXES, BAD, IDLE, JOINTS, OBSERVED, Rgb
 from deformscope.rows import SERIES
 from deformscope.stages.map.exploration import SurfaceEstimate
 from deformscope.stages.map.perception import NAMES, ForcePose, LookPerception, TouchPerception
 from deformscope.stages.see.pixel_labels import PixelLabel
 
-FRAMES, PIXELS, UNDER, ERROR, MAPS = (
-    f"display/perception/{part}" for part in ("frames", "pixels", "surface", "error", "maps")
-)
+FRAMES, PIXELS, ERROR, MAPS = (f"display/perception/{part}" for part in ("frames", "pixels", "error", "maps"))
 LABELS: dict[PixelLabel, Rgb] = {
     PixelLabel.NOTHING_SEEN: (0, 0, 0),
     PixelLabel.USED: OBSERVED,
@@ -36,9 +33,7 @@ LABELS: dict[PixelLabel, Rgb] = {
     PixelLabel.LONE: (240, 228, 66),
     PixelLabel.MISFIT: (255, 255, 255),
 }
-AXIS_M, TACTILE_M, NET_M, HEIGHTS = 0.06, 0.0008, 0.0002, 4.0
-TOUCH = "touch"
-"""Frame in the middle of the square around the newest touch."""
+AXIS_M = 0.06
 
 
 def log_frames(
@@ -66,26 +61,9 @@ def log_pixels(now: ResultBatch, perception: LookPerception | TouchPerception) -
         now.show(PIXELS, rr.SegmentationImage(perception.masks.decode(-1)))
 
 
-def log_under_touch(now: ResultBatch, perception: TouchPerception) -> None:
-    """The surface under the touch, and the error over beta; missing ones are left out."""
+def log_error(now: ResultBatch, perception: TouchPerception) -> None:
+    """The error over beta, left out if there is none."""
     now.show_png(ERROR, pictures.error_png, perception)
-    if (under := perception.surface) is None:
-        now.show(UNDER, rr.Clear(recursive=True))
-        return
-    dent = under.dent
-    end_mm, triangles = round_up(1e3 * float(dent.sd_m.max())), grid_of(dent.shape, 1.0)[1]
-    tints = colors(1e3 * dent.sd_m / end_mm)
-    middle, near = dent.after.mean(axis=0), dent.after.min(axis=0)
-    scale = [1.0, 1.0, 1.0 / HEIGHTS]  # seen from this frame heights are drawn out
-    stands = rr.Transform3D(translation=middle, scale=scale, parent_frame="surface", child_frame=TOUCH)
-    now.show(f"{FRAMES}/{TOUCH}", stands)
-    mesh = rr.Mesh3D(vertex_positions=dent.after, triangle_indices=triangles, vertex_colors=tints)
-    now.show(f"{UNDER}/heights", mesh)
-    rows = dent.after.reshape(*dent.shape, 3)
-    now.show_lines(f"{UNDER}/net", np.concatenate([rows, rows.swapaxes(0, 1)]), TEXT, NET_M)
-    now.show_points(f"{UNDER}/tactile", under.tactile_m, HELD, TACTILE_M)
-    words = f"deviation 0 to {end_mm:g} mm, violet to yellow; heights drawn {HEIGHTS:g} times"
-    now.show_points(f"{UNDER}/label", [[middle[0], near[1] - 0.01, near[2]]], TEXT, 1e-4, [words])
 
 
 def log_tool(now: ResultBatch, poses: ForcePose) -> None:

@@ -30,15 +30,7 @@ from deformscope.arrays import FloatArray
 from deformscope.frames import Stream
 from deformscope.log.canvas import TEXT
 from deformscope.log.exploration import display, scene
-from deformscope.log.exploration.perception import (
-    ERROR,
-    FRAMES,
-    TOUCH,
-    log_ground,
-    log_pixels,
-    log_tool,
-    log_under_touch,
-)
+from deformscope.log.exploration.perception import ERROR, log_error, log_ground, log_pixels, log_tool
 from deformscope.log.exploration.scene import DENT as DENT_VIEW
 from deformscope.log.exploration.scene import log_dent
 from deformscope.log.result_batch import ResultBatch, png_view
@@ -71,9 +63,6 @@ BETA = ShownStage(
     "beta", 3, "particles of the model fitted to the dent (eq. 4.6)", field="simulated_m", when="explore.beta_model"
 )
 PERCEPTION = ShownStage("perception", 4, "pixels used and removed; what was trained", when="explore.perception")
-TOUCH_SURFACE = ShownStage(
-    "touch surface", 4, "under the tip (eq. 4.3, 4.4)", field="surface.tactile_m", when="explore.perception"
-)
 BETA_ERROR = ShownStage(
     "error over beta", 4, "(eq. 4.6)", field="error.aee", when="explore.perception explore.beta_model"
 )
@@ -126,7 +115,6 @@ def log_exploration_start(
     start.show_png(display.GAIN, pictures.text_png, "no plan yet")
     start.show_points(f"{DENT_VIEW}/scale/label", np.zeros((1, 3)), TEXT, 0.002, ["no touch yet"])
     start.show_text(display.SUMMARY, "# No touch yet")
-    start.show(f"{FRAMES}/{TOUCH}", rr.Transform3D(parent_frame="surface", child_frame=TOUCH))
     batch.send(rec)
 
 
@@ -181,7 +169,7 @@ def exploration_views(touch: int, maps: MapEstimate | None, cell_m: float) -> Vi
         StageFailure: (FAILED, display.log_failed),
         ExplorationStop: (STOPPED, ResultBatch.show_stop),
         LookPerception: (PERCEPTION, log_pixels),
-        TouchPerception: (PERCEPTION, TOUCH_SURFACE, BETA_ERROR, log_pixels, log_under_touch),
+        TouchPerception: (PERCEPTION, BETA_ERROR, log_pixels, log_error),
         ForcePose: (FORCE_POSE, log_tool),
         **dict.fromkeys((LookFrames, TouchFrames, SurfaceMeasurement, TouchMeasurement), (INPUT,)),
     }

@@ -457,7 +457,7 @@ class SteeringDecision:
 class StageFailure:
     """A stage failed on one touch: the exploration continues without its result.
 
-    stage: surface, dent, contact, creep, regions, beta, touch surface, maps, beta field, lumps, plan or display
+    stage: surface, dent, contact, creep, regions, beta, maps, beta field, lumps, plan or display
     touch: its number from 1, 0 = before the first
     reason: reason in one line; trace: place of the failure, for developers"""
 

@@ -1,69 +1,15 @@
-"""Results between the frames of an exploration and its estimates (Thesis chapter 4): the pixels used, the surface under
-a touch, the error over beta, and the training data of the fields."""
+"""Results between the frames of an exploration and its estimates (Thesis chapter 4): the pixels used, the error over
+beta, and the training data of the fields."""
 
-from dataclasses import dataclass, field
-from typing import Protocol
+from dataclasses import dataclass
 
 import numpy as np
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.stages.fit.estimate import Curve
-from deformscope.stages.gaussian_process import Kernel, ProcessPrediction
-from deformscope.stages.regions.touches import MapGrid, StiffnessSample
+from deformscope.stages.gaussian_process import Kernel
+from deformscope.stages.regions.touches import StiffnessSample
 from deformscope.stages.see.pixel_labels import PixelMasks
-
-COARSE_GRID_M = 0.01
-"""The grid around a touch of recordings without one."""
-
-SIDE_M = 0.15
-"""Side of the square around a touch (Thesis 4.4)."""
-
-DENTED = 0.1
-"""Share of the greatest depth from which a place counts as dented."""
-
-
-@dataclass(frozen=True, slots=True)
-class SeenDent:
-    """A square of the surface around a touch, on a grid, before it and under it (Thesis 4.4).
-
-    before, after: (p, 3) points at the same places [m]; shape: (rows, columns); cell_m: how far apart they are
-    sd_m: (p,) deviation of the heights under it"""
-
-    before: FloatArray
-    after: FloatArray
-    shape: tuple[int, int]
-    cell_m: float = COARSE_GRID_M
-    sd_m: FloatArray = field(default_factory=lambda: np.zeros(0))
-
-    @property
-    def sunk_m(self) -> FloatArray:
-        """(p,) how far the touch lowered the surface [m]."""
-        return np.asarray(self.before[:, 2] - self.after[:, 2])
-
-    @property
-    def dented_m(self) -> FloatArray:
-        """(m, 2) the places that were dented [m]: all that sank by `DENTED` of the deepest."""
-        sunk = self.sunk_m
-        return np.asarray(self.before[sunk >= DENTED * sunk.max(), :2])
-
-
-class SurfaceHeights(Protocol):
-    """A surface with known heights at requested places, such as a `HeightProcess`."""
-
-    def at(self, places_m: FloatArray) -> ProcessPrediction:
-        """Prediction at places (n, 2) [m]."""
-
-
-def dent_of(
-    world: SurfaceHeights, touched: SurfaceHeights, place_m: FloatArray, cell_m: float = COARSE_GRID_M
-) -> SeenDent:
-    """The dent in a square of `SIDE_M` around a place (2,) [m]. world, touched: the surface before and under
-    touch, the second with the tactile points; cell_m: cell size of the grid"""
-    grid = MapGrid((SIDE_M, SIDE_M), cell_m)
-    places_m = np.asarray(place_m)[:2] - 0.5 * SIDE_M + grid.centres_m
-    rest, under = world.at(places_m), touched.at(places_m)
-    before, after = (np.column_stack([places_m, one.mean]) for one in (rest, under))
-    return SeenDent(before, after, grid.shape, cell_m, under.deviation)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,18 +40,6 @@ class TrainedField:
 
 
 @dataclass(frozen=True, slots=True)
-class TouchSurface:
-    """The surface under a touch as a process of observed points and of virtual tactile points (Thesis eq. 4.3, 4.4).
-
-    dent: heights before and under it, with deviations; tactile_m: (t, 3) [m]; learned: hyper-parameters that the
-    process under touch learned"""
-
-    dent: SeenDent
-    tactile_m: FloatArray
-    learned: Hyperparameters
-
-
-@dataclass(frozen=True, slots=True)
 class LookPerception:
     """Input of the surface before any touch. masks: None for a robot that gives points, not images
     learned: hyper-parameters of its process, from this number of points without outliers"""
@@ -119,14 +53,13 @@ class LookPerception:
 class TouchPerception:
     """Input of a touch's estimate, and its training data; each None if missing.
 
-    number: its number, from 1; masks: masks of its depth images, without those that did not show the surface; surface:
-    under it; error: error over beta [m], the mean distance of particles from the points that they represent, while the
-    estimate weighs these by their noise; estimate: estimated beta, one of the tried values
+    number: its number, from 1; masks: masks of its depth images, without those that did not show the surface; error:
+    error over beta [m], the mean distance of particles from the points that they represent, while the estimate weighs
+    these by their noise; estimate: estimated beta, one of the tried values
     stiffness: value that the map uses, with a weight of 1 / log_sd squared; beta: training data of the field of beta"""
 
     number: int
     masks: PixelMasks | None
-    surface: TouchSurface | None
     error: Curve | None
     estimate: float | None
     stiffness: StiffnessSample | None

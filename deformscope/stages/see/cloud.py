@@ -17,11 +17,6 @@ from deformscope.stages.see.robot import NO_ROBOT, PosedRobot, label_robot, meas
 NEIGHBOURS, OUTLYING = 20, 2.0
 """Neighbours of a point, and deviations of their mean distance, for a statistical outlier."""
 
-TACTILE_POINTS = 10
-"""Virtual points on the tip (Thesis 4.4)."""
-
-GOLDEN_ANGLE = float(np.pi * (3.0 - np.sqrt(5.0)))
-
 
 @dataclass(frozen=True, slots=True)
 class Intrinsics:
@@ -126,30 +121,6 @@ def height_noise_m(points: FloatArray, T_world_camera: FloatArray) -> FloatArray
     steepness = np.abs(ray[:, 2])
     incidence = np.arccos(np.clip(steepness / length, 0.0, 1.0))
     return np.asarray(axial_noise_m(axial, incidence) * steepness / axial)
-
-
-def tactile_points(
-    lowest_m: FloatArray, radius_m: float, depth_m: float, *, normal: FloatArray | None = None
-) -> FloatArray:
-    """`TACTILE_POINTS` virtual points (n, 3) [m] where a ball touches, around its foremost one (Thesis 4.4).
-
-    lowest_m: (3,) the ball's foremost point; depth_m: how far it is below where it first touched
-    normal: (3,) outward unit normal of the surface at rest, default up. The points cover the contact cap evenly, and
-    include its lowest point. A ball in an elastic body touches it up to about the root of radius times depth from its
-    axis (Hertz), at most up to its equator."""
-    if radius_m <= 0.0 or depth_m < 0.0:
-        raise InputError("a ball and a depth of 0 or more", f"radius {radius_m:g} m, depth {depth_m:g} m")
-    up = np.array([0.0, 0.0, 1.0]) if normal is None else np.asarray(normal, dtype=np.float64)
-    up = up / np.linalg.norm(up)
-    sink = 1.0 - np.sqrt(1.0 - (contact_radius_m(radius_m, depth_m) / radius_m) ** 2)
-    rise = radius_m * sink * np.arange(TACTILE_POINTS) / (TACTILE_POINTS - 1)
-    away = np.sqrt(np.maximum(radius_m**2 - (radius_m - rise) ** 2, 0.0))
-    angle = GOLDEN_ANGLE * np.arange(TACTILE_POINTS)
-    first = np.cross(up, np.eye(3)[int(np.abs(up).argmin())])
-    first /= np.linalg.norm(first)
-    second = np.cross(up, first)
-    around = np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * second
-    return np.asarray(np.asarray(lowest_m) + rise[:, None] * up + away[:, None] * around)
 
 
 def contact_radius_m(radius_m: float, depth_m: float) -> float:

@@ -99,20 +99,6 @@ def test_noise_grows_with_distance_and_angle() -> None:
     assert aslant == pytest.approx(np.sqrt(0.5) * cloud.axial_noise_m(np.array([0.8]), np.pi / 4))
 
 
-@pytest.mark.parametrize("normal", [[0.0, 0.0, 1.0], [0.3, -0.2, 0.9]])
-def test_tactile_points_lie_on_the_ball_where_it_touches(normal: list[float]) -> None:
-    up = np.array(normal) / np.linalg.norm(normal)
-    lowest, radius, depth = np.array([0.3, 0.2, 0.045]), 0.01, 0.004
-    points = cloud.tactile_points(lowest, radius, depth, normal=up)
-    assert points.shape == (10, 3)
-    np.testing.assert_allclose(np.linalg.norm(points - lowest - radius * up, axis=1), radius, rtol=1e-9)
-    np.testing.assert_allclose(points[0], lowest)
-    aside = np.linalg.norm(points - lowest - np.outer((points - lowest) @ up, up), axis=1)
-    assert aside.max() == pytest.approx(cloud.contact_radius_m(radius, depth))
-    assert cloud.contact_radius_m(radius, depth) == pytest.approx(np.sqrt(radius * depth))
-    assert cloud.contact_radius_m(radius, 0.02) == radius
-
-
 def test_perceiving_keeps_the_surface_alone() -> None:
     transform = looking_down_at_45_degrees()
     depth = seen(transform, 0.05)

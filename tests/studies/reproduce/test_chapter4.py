@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deformscope.stages.map.perception import SeenDent
 from deformscope.stages.regions.touches import MapGrid
 from studies.__main__ import main
 from studies.reproduce import thesis_rules
 from studies.reproduce.chapter4 import _format_row, _row
 from studies.reproduce.chapter4_figures import draw_betas, draw_clouds, draw_dents, draw_fields
+from studies.reproduce.thesis_dent import SeenDent
 
 PNG = b"\x89PNG"
 

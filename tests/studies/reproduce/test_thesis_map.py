@@ -12,15 +12,15 @@ from deformscope.errors import InputError
 from deformscope.experiments.explore.robot_geometry import Touch
 from deformscope.lab.scenes import built_in
 from deformscope.stages.map.field import FieldMap
-from deformscope.stages.map.perception import SeenDent, dent_of
 from deformscope.stages.map.plan import PlanOptions
 from deformscope.stages.map.surface import HeightProcess, fit_surface
 from deformscope.stages.regions.posterior import RegionPosterior
 from deformscope.stages.regions.touch_error import TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid
-from deformscope.stages.see.cloud import tactile_points
+from deformscope.stages.see.cloud import contact_radius_m
 from studies.reproduce import thesis_map
 from studies.reproduce.surface_robot import LabRobot
+from studies.reproduce.thesis_dent import SeenDent, dent_of, tactile_points
 from studies.reproduce.thesis_map import (
     SIGMA_E,
     SIGMA_N,
@@ -102,6 +102,20 @@ def test_the_plan_goes_where_the_field_is_unknown_and_ends_with_its_variance_alo
     assert len(seen) > 4
     plan = plan_thesis_touch(touched(*((x, y, 0.5) for x in (0.1, 0.3, 0.5) for y in (0.1, 0.3))), posterior, options)
     assert plan.stop == "nothing above the threshold"
+
+
+@pytest.mark.parametrize("normal", [[0.0, 0.0, 1.0], [0.3, -0.2, 0.9]])
+def test_tactile_points_lie_on_the_ball_where_it_touches(normal: list[float]) -> None:
+    up = np.array(normal) / np.linalg.norm(normal)
+    lowest, radius, depth = np.array([0.3, 0.2, 0.045]), 0.01, 0.004
+    points = tactile_points(lowest, radius, depth, normal=up)
+    assert points.shape == (10, 3)
+    np.testing.assert_allclose(np.linalg.norm(points - lowest - radius * up, axis=1), radius, rtol=1e-9)
+    np.testing.assert_allclose(points[0], lowest)
+    aside = np.linalg.norm(points - lowest - np.outer((points - lowest) @ up, up), axis=1)
+    assert aside.max() == pytest.approx(contact_radius_m(radius, depth))
+    assert contact_radius_m(radius, depth) == pytest.approx(np.sqrt(radius * depth))
+    assert contact_radius_m(radius, 0.02) == radius
 
 
 # By its options ------------------------------------------------------------------------------------------------------
