@@ -375,9 +375,6 @@ class ReplayConfig(RecordedOptions):
     set: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="KEY=VALUE", help_behavior_hint="(repeatable)")] = ()
     """Change a setting of an exploration: the new result is printed with the recorded one, and not compared to the bit.
     Several: --set beta_model=none --set threshold=0.1"""
-    beside: flags.OtherRecordingFlag = None
-    """With --viewer page: the devices of this other recording in the same plots, both from their first contact on.
-    Nothing is computed again."""
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
 

@@ -372,15 +372,15 @@ def _with_ends(one: object) -> str:
 
 
 def _series(first: "Replay", second: "Replay") -> tuple[list[dict[str, Any]], str]:
-    from deformscope.page.aligned import aligned_series
+    from deformscope.runs.aligned import aligned_series
 
     try:
-        series, _ = aligned_series(first, second, ("", ""))
+        before, after = aligned_series(first), aligned_series(second)
     except InputError as error:
         return [], str(error)
     found = []
-    for one in (one for one in series if one.which == 0):
-        other = next((each for each in series if each.which == 1 and each.name == one.name), None)
+    for device, one in before.items():
+        other = after.get(device)
         if other is None or other.quantity != one.quantity:
             continue
         (at, mine), (theirs_at, theirs) = (_once(each.since_ns, each.values) for each in (one, other))
@@ -388,7 +388,7 @@ def _series(first: "Replay", second: "Replay") -> tuple[list[dict[str, Any]], st
         if both.any():
             at = at[both]
             apart = np.interp(at, theirs_at, theirs) - mine[both]
-            about = {"name": f"{one.name.removeprefix(': ')}: {one.quantity}", "rms": float(np.sqrt(np.mean(apart**2)))}
+            about = {"name": f"{device}: {one.quantity}", "rms": float(np.sqrt(np.mean(apart**2)))}
             about |= {"largest": float(np.abs(apart).max()), "from_s": float(at[0] / 1e9), "to_s": float(at[-1] / 1e9)}
             found.append(about)
     return found, ""

@@ -32,8 +32,6 @@ def replay_on(config: ReplayConfig, progress: Progress | None = None) -> ReplayR
     quiet_warp()
     recording = Replay(config.recording)
     settings = recording.settings
-    if config.beside is not None:
-        return _align(recording, Replay(config.beside), config)
     page = None
     if config.output.viewer == "page" and settings.keys() & {"explore", "squeezed", "rig"}:
         from deformscope.page.playback import play_on_page
@@ -159,19 +157,6 @@ def _apart(before: "IndentEstimate", now: "IndentEstimate") -> float:
     """As `_distance`, of moduli."""
     (value, low, high), again = ((one.modulus_pa, *one.modulus_interval_pa) for one in (before, now))
     return max(abs(a - b) for a, b in zip((value, low, high), again, strict=True)) / (high - low)
-
-
-def _align(first: Replay, second: Replay, config: ReplayConfig) -> ReplayResult:
-    """Show two recordings on a page, both from their first contact on; raises InputError where one has none."""
-    from deformscope.page.aligned import align_on_page
-
-    if config.output.viewer != "page" or config.set or config.output.record is not None:
-        raise InputError("--beside with --viewer page, without --set or --record", "other options")
-    _, contacts_s = align_on_page(first, second)
-    paths = first.path, second.path
-    rows = [(str(path), f"first contact at {at_s:.3f} s") for path, at_s in zip(paths, contacts_s, strict=True)]
-    table = Table(rows, caption="two recordings from their first contact on")
-    return ReplayResult({"beside": paths, "first_contact_s": contacts_s}, (table,))
 
 
 def _replay_rig(recording: Replay) -> ReplayResult:

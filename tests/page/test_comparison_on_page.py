@@ -1,8 +1,6 @@
-"""Two recordings from their first contact on, and other settings as a layer over what was recorded."""
+"""A recording from its first contact on, and other settings as a layer over what was recorded."""
 
 import dataclasses
-import json
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -11,23 +9,22 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 
-from deformscope.cli import main
+from deformscope.errors import InputError
 from deformscope.experiments.live.first_contact import first_contact_ns
 from deformscope.frames import SessionNote, Stream, TactileFrame, WrenchFrame
 from deformscope.log.exploration.compare import comparison_rrd
 from deformscope.log.layout import RIG, RigLayout
-from deformscope.page.aligned import align_on_page
 from deformscope.page.server.messages import Playback
-from deformscope.page.server.page_server import PageServer, end_pages
+from deformscope.page.server.page_server import PageServer
 from deformscope.pictures import exploration as pictures
 from deformscope.pictures.figures import canvas
 from deformscope.recording.item_rows import Row
 from deformscope.recording.reader import Replay
 from deformscope.recording.recorder import Recorder
+from deformscope.runs.aligned import aligned_series
 from deformscope.stages.map.exploration import PhaseStart
 from deformscope_drivers.clock import Stamp
 from tests.log import synthetic_exploration as synthetic
-from tests.page.pages import get, page_script, root
 from tests.page.test_in_browser import FAKE_VIEWER, browser, shown, until
 
 __all__ = ["browser", "shown"]
@@ -76,32 +73,14 @@ def test_the_first_contact_is_found_by_force_pads_or_phases() -> None:
     assert first_contact_ns([*rows(*forces(ramp(0.5))), *phases]) == 2 * S  # an exploration says when it presses
 
 
-def test_two_recordings_are_played_from_their_first_contact_on(tmp_path: Path) -> None:
-    first, second = recorded(tmp_path / "soft.rrd", ramp(1.0)), recorded(tmp_path / "hard.rrd", ramp(3.0))
-    page, contacts_s = align_on_page(Replay(first), Replay(second))
-    with closing(page):
-        assert contacts_s == pytest.approx((1.54, 3.54), abs=0.03)
-        assert get(page, root(page) + "recording.rrd")[1].startswith(b"RRF2")
-        with page_script(page, "a") as one:
-            playback = one.state["playback"]
-            assert playback["timeline"] == "contact"
-            assert playback["from_ns"] == pytest.approx(-3.54 * S, abs=0.03 * S)
-            assert playback["until_ns"] == pytest.approx(3.46 * S, abs=0.03 * S)
-
-
-def test_what_cannot_be_aligned_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    first, second = recorded(tmp_path / "felt.rrd", ramp(1.0)), recorded(tmp_path / "air.rrd", 0.0 * ramp(1.0))
-    beside = ["replay", str(first), "--beside", str(second)]
-    assert main([*beside, "--viewer", "page"]) == 2
-    said = capsys.readouterr().err
-    assert "a recording with a contact" in said
-    assert "air.rrd" in said
-    assert main([*beside, "--viewer", "none"]) == 2
-    assert "--viewer page" in capsys.readouterr().err
-    found = tmp_path / "found.json"
-    assert main(["replay", str(first), "--beside", str(first), "--viewer", "page", "--json", str(found)]) == 0
-    end_pages()
-    assert json.loads(found.read_text())["first_contact_s"] == pytest.approx([1.54, 1.54], abs=0.03)
+def test_measurements_of_a_recording_are_since_its_first_contact(tmp_path: Path) -> None:
+    found = aligned_series(Replay(recorded(tmp_path / "soft.rrd", ramp(1.0))))
+    (one,) = found.values()
+    assert list(found) == ["tip"]
+    assert one.since_ns[0] == pytest.approx(-1.54 * S, abs=0.03 * S)
+    assert one.values[np.searchsorted(one.since_ns, 2 * S)] == pytest.approx(2.54, abs=0.05)
+    with pytest.raises(InputError, match=r"a recording with a contact.*air\.rrd"):
+        aligned_series(Replay(recorded(tmp_path / "air.rrd", 0.0 * ramp(1.0))))
 
 
 def test_other_settings_are_drawn_beside_the_recorded_in_two_colours_and_named() -> None:
