@@ -41,7 +41,6 @@ THRESHOLD_FROM = 268
 SENSITIVITY_READ_BACK_FROM = 219
 SENSITIVITY_TOLERANCE = 0.005
 
-COMMAND_TIMEOUT_S = 30.0
 
 ReplyT = TypeVar("ReplyT", bound=messages.Reply)
 T = TypeVar("T")
