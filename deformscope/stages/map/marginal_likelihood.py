@@ -155,9 +155,6 @@ LESS_NOISE = float(np.log(4.0))
 RANGE = (1.3, 1.5)
 """A basis serves lengths shorter and longer than the start by these factors."""
 
-NEAR = (1.12, 1.12)
-"""The same where the start is the estimate of a similar surface: a third of the time."""
-
 STRIDE = 1.5
 """sigma_e and the noise move by at most this (in logs) in one round: a first step without a sense of scale goes no
 farther."""
@@ -194,13 +191,11 @@ class Observations:
 NAMES = ("sigma_e", "length", "noise_scale")
 
 
-def learn(
-    free: Observations, known: Observations, start: Hyperparameters | None, like: Hyperparameters | None = None
-) -> Hyperparameters:
+def learn(free: Observations, known: Observations, start: Hyperparameters | None) -> Hyperparameters:
     """The likeliest hyper-parameters. free: points whose noise is known up to one factor (1 without such points);
     known: points whose noise is known; start: estimates from nearly the same points; None: a few lengths are tried
-    first; like: estimates of another surface, from where the search goes on if the best of these lengths is near"""
-    return _Search(free, known).run(start, like)
+    first"""
+    return _Search(free, known).run(start)
 
 
 class _Search:
@@ -221,18 +216,19 @@ class _Search:
         self.scale = noise / float(np.median(free.noise)) if len(free.noise) else 1.0
         self.scales = np.log([max(float(value.std()), noise, FLOOR_M), 0.25 * longest / LONGEST, self.scale])
 
-    def run(self, before: Hyperparameters | None, like: Hyperparameters | None) -> Hyperparameters:
+    def run(self, before: Hyperparameters | None) -> Hyperparameters:
         low, high = self.scales - FREEDOM, self.scales + FREEDOM
         low[1], high[1] = np.log(self.limits)
         if not len(self.free.value):
             low[2] = high[2] = 0.0
-        at, reach = self._first() if before is None else _logs(before), RANGE
-        if before is None and like is not None and abs(_logs(like)[1] - at[1]) < np.log(COARSE):
-            at, reach = _logs(like), NEAR
+        if before is None:
+            at = self._first()
+        else:
+            at = np.log([before.kernel.sigma_e, before.kernel.length_m, before.noise_scale])
         value = -np.inf
         for _ in range(MOST_ROUNDS):
             length = float(np.exp(at[1]))
-            ends = length / reach[0], length * reach[1]
+            ends = length / RANGE[0], length * RANGE[1]
             here = np.clip(np.array([at - STRIDE, at + STRIDE]), low, high)
             here[:, 1] = np.clip(np.log(ends), low[1], high[1])
             at, value = self._climb(at, here.T, ends)
@@ -240,7 +236,6 @@ class _Search:
             for_good = (at <= low + NEAR_BOUND) | (at >= high - NEAR_BOUND)
             if not (stopped & ~for_good).any():
                 break
-            reach = RANGE
         bound = [
             name
             for name, x, a, b in zip(NAMES, at, low, high, strict=True)
@@ -302,10 +297,6 @@ class _Search:
         free, known = self.free, self.known
         listed = basis.list(known.places, known.value, known.noise)
         return basis.weigh(free.places, free.value, free.noise), listed
-
-
-def _logs(known: Hyperparameters) -> FloatArray:
-    return np.log([known.kernel.sigma_e, known.kernel.length_m, known.noise_scale])
 
 
 def roughness(points: Observations) -> float:

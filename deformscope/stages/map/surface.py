@@ -205,7 +205,6 @@ def fit_surface(
     known_noise_m: FloatArray | None = None,
     within_m: tuple[tuple[float, float], tuple[float, float]] | None = None,
     outlier_sd: float | None = None,
-    like: Hyperparameters | None = None,
 ) -> HeightProcess:
     """The surface through points (n, 3) [m], z up.
 
@@ -214,7 +213,6 @@ def fit_surface(
     within_m: the (low, high) places at which the surface will be evaluated, default the points' own box; beyond it the
     process falls back to its prior within about a length
     outlier_sd: points farther from the surface than this many deviations are left out, and the surface is fitted again.
-    like: hyper-parameters of a similar surface, from which the search goes on if they are near
     Raises InputError for too few points, values that are not finite, and a kernel too short for the box."""
     free, known = _checked(points_m, noise_m, UNIT_NOISE_M), _checked(known_m, known_noise_m, None)
     if len(free.value) + len(known.value) < FEWEST:
@@ -227,7 +225,7 @@ def fit_surface(
         low, high = np.minimum(low, within_m[0]), np.maximum(high, within_m[1])
     used = np.ones(len(free.value), dtype=bool)
     with threadpool_limits(1):  # the same digits whatever the machine's cores
-        learned, process = _learned(free, known, low, high, like=like)
+        learned, process = _learned(free, known, low, high)
         for _ in range(OUTLIER_ROUNDS if outlier_sd is not None else 0):
             found = process.at(free.places)
             away = np.abs(free.value - found.mean)
@@ -249,15 +247,10 @@ def fit_surface(
 
 
 def _learned(
-    free: Observations,
-    known: Observations,
-    low: FloatArray,
-    high: FloatArray,
-    start: Hyperparameters | None = None,
-    like: Hyperparameters | None = None,
+    free: Observations, known: Observations, low: FloatArray, high: FloatArray, start: Hyperparameters | None = None
 ) -> tuple[Hyperparameters, SparseProcess]:
     """Hyper-parameters, and the process with them. low, high: (2,) corners of the box that holds the points [m]"""
-    learned = learn(free, known, start, like)
+    learned = learn(free, known, start)
     length_m = learned.kernel.length_m
     if float(np.prod((high - low) / (SPACING * length_m) + 1.0)) > MOST_INDUCING:
         raise InputError(

@@ -1,7 +1,5 @@
 """The world and touch surfaces: a sparse process is an exact one, its hyper-parameters those of all points."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 from scipy.linalg import cho_factor, cho_solve
@@ -11,8 +9,6 @@ from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.gaussian_process import Kernel
 from deformscope.stages.map import marginal_likelihood
-from deformscope.stages.map.marginal_likelihood import HilbertBasis, LogLikelihood
-from deformscope.stages.map.perception import Hyperparameters
 from deformscope.stages.map.surface import HeightProcess, fit_surface
 from deformscope.stages.regions.touches import MapGrid
 from tests.cases import slow_but
@@ -87,29 +83,6 @@ def test_hyper_parameters_are_the_likeliest_of_an_exact_process() -> None:
     assert -cost(start) > -best.fun - 0.1
     assert surface.learned.log_likelihood == pytest.approx(-cost(start), abs=1.0)
     assert surface.evidence == pytest.approx(-cost(start), abs=0.05)
-
-
-@pytest.mark.parametrize("length_m", [0.065, 0.015, 0.24])
-def test_from_a_similar_surface_and_from_another_the_same_hyper_parameters_are_found(
-    length_m: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    trial, operations = HilbertBasis.trial, [0]
-
-    def counted(basis: HilbertBasis, *given: Any) -> LogLikelihood:
-        operations[-1] += len(basis.number) ** 3
-        return trial(basis, *given)
-
-    monkeypatch.setattr(HilbertBasis, "trial", counted)
-    rng = np.random.default_rng(4)
-    places = with_a_hole(rng, 400)
-    points = np.column_stack([places, drawn(rng, places) + rng.normal(size=400) * 0.002])
-    alone = fit_surface(points)
-    other = Hyperparameters(Kernel.of_length(0.008, length_m), 2.0, 0.0, (), 0)
-    operations.append(0)
-    found = fit_surface(points, like=other)
-    assert found.evidence == pytest.approx(alone.evidence, abs=0.1)
-    assert found.kernel.length_m == pytest.approx(alone.kernel.length_m, rel=0.03)
-    assert (operations[1] < operations[0]) is (length_m == 0.065)
 
 
 def test_known_hyper_parameters_come_back_from_all_points() -> None:
