@@ -7,6 +7,7 @@ import numpy as np
 
 from deformscope.errors import InputError
 from deformscope.robot.by_hand import Person, PlaceRequest
+from deformscope.robot.clearance import ArmClearance
 from deformscope.robot.placement import Placement, best_joints
 from deformscope_drivers.arm.kinematics import Chain, FloatArray
 from deformscope_drivers.clock import Clock, monotonic_ns
@@ -16,6 +17,8 @@ from deformscope_drivers.manual_arm import StandDouble
 UP = np.array([0.0, 0.0, 1.0])
 LOOKS = 5
 """Number of the look at which a simulated person answers."""
+CLEAR_M = 0.03
+"""Height of elbow and wrist over the table at the first places: above the least that a preflight accepts."""
 ACROSS_SD_M, ALONG_SD_M = 5e-4, 3e-5
 """Accuracy of a person who places a stick laterally, and by the scale of a slide along it. Chosen."""
 
@@ -71,7 +74,13 @@ def arm_in_lab(
 
 def start_deg(chain: Chain, placement: Placement, places_m: Sequence[FloatArray]) -> FloatArray:
     """(n,) joint angles for the first of some places."""
-    found = best_joints(chain, [placement.T_base_ee(place_m, UP) for place_m in places_m])
+    clearance = ArmClearance(placement, chain.forward(chain.home_deg))
+
+    def free(joints_deg: FloatArray) -> bool:
+        links = chain.forward(joints_deg)
+        return clearance.over_table_m(links) > CLEAR_M and clearance.to_itself_m(links) > 0.0
+
+    found = best_joints(chain, [placement.T_base_ee(place_m, UP) for place_m in places_m], free=free)
     if found is None:
         raise InputError("a table within the arm's reach", "[surface] T_arm_surface that is not", "move it")
     return found

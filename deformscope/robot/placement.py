@@ -105,6 +105,11 @@ class Placement:
             np.asarray(-self.T_surface_center(T_base_ee)[:3, :3] @ self._R_tip_force @ force_n) / self.tool.force_gain
         )
 
+    def weight_on_sensor_n(self, T_base_ee: FloatArray) -> FloatArray:
+        """(3,) what the weight of the tool adds to the sensor's forces, in its axes [N]; 0 where it is not known."""
+        weight_n = np.array(self.tool.weight_n or (0.0, 0.0, 0.0))
+        return np.asarray(weight_n @ (T_base_ee @ self.T_ee_center)[:3, :3] @ self._R_tip_force)
+
     def T_base_ee(self, center_m: npt.ArrayLike, normal: npt.ArrayLike) -> FloatArray:
         """(..., 4, 4) the arm's end in the base frame with the tip's centre (..., 3) [m] here, stick along -normal
         (..., 3).
@@ -208,11 +213,17 @@ def longest_m(chain: Chain) -> float:
     return sum(float(np.linalg.norm(b[:3, 3] - a[:3, 3])) for a, b in itertools.pairwise(frames))
 
 
-def best_joints(chain: Chain, T_base_ees: Sequence[FloatArray], tries: int = 16) -> FloatArray | None:
+def best_joints(
+    chain: Chain,
+    T_base_ees: Sequence[FloatArray],
+    tries: int = 16,
+    free: Callable[[FloatArray], bool] = lambda joints_deg: True,
+) -> FloatArray | None:
     """Joint angles (n,) for the first of some poses (4, 4), from which a straight way leads through the others.
 
     A six-joint arm has up to eight for one pose. Returned are those whose path stays furthest from singularities, with
-    every joint PLAN_MARGIN_DEG inside its range. None = no configuration reaches all places."""
+    every joint PLAN_MARGIN_DEG inside its range. free: whether joint angles (n,) are clear of what is around the arm.
+    None = no configuration reaches all places."""
     random = [np.random.default_rng([seed, 0x1C]).uniform(0.0, 360.0, chain.joint_count) for seed in range(1, tries)]
 
     def near(T_base_ee: FloatArray, start_deg: FloatArray) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
@@ -223,6 +234,7 @@ def best_joints(chain: Chain, T_base_ees: Sequence[FloatArray], tries: int = 16)
     found, least = first, np.where(reached, math.inf, 0.0)
     for T_base_ee in T_base_ees:
         found, reached = near(T_base_ee, found)
+        reached &= [bool(there and free(one)) for there, one in zip(reached, found, strict=True)]
         least = np.minimum(least, np.where(reached, least_singular(chain.jacobian(found)), 0.0))
     best = -1
     for index in np.flatnonzero(least > 0):

@@ -1,5 +1,6 @@
 """`explore RIG` with arms other than the Jaco: one that a person places, and a KUKA through RSI."""
 
+import importlib.metadata
 import itertools
 import json
 from pathlib import Path
@@ -14,11 +15,13 @@ from deformscope.recording.items import read_items
 from deformscope.robot import finger
 from deformscope.robot.preflight import FORCE_TURNED
 from deformscope_drivers import kuka
+from deformscope_drivers.interface import DRIVERS, GROUP
 from tests.cases import Capture, Patch, slow
 from tests.cli.quick_scene import use_quick_scene
 from tests.cli.rig_on_a_simulated_clock import count_as_real, use_a_simulated_clock
 from tests.verified import verify_here
 
+ROOT = Path(__file__).parents[2]
 PLACED = """
 [devices.arm]
 driver = "placed"
@@ -214,3 +217,39 @@ def test_an_arm_without_joint_torques_wants_calibrate_force(
     assert "NO  calibration: [tool] R_tip_force" in said
     assert "calibration: [tool] R_tip_force: deformscope calibrate force RIG" in said
     assert "force sensor: finger" not in said  # first things first
+
+
+@pytest.mark.slow
+def test_every_arm_of_the_laboratory_finds_the_same_foam(tmp_path: Path, capsys: Capture, monkeypatch: Patch) -> None:
+    """A stranger's arm too: Universal Robots' package is known by its entry point alone."""
+    use_quick_scene(monkeypatch)
+    monkeypatch.syspath_prepend(str(ROOT / "drivers" / "packages" / "ur"))
+    entry = importlib.metadata.EntryPoint("ur", "deformscope_ur:DRIVER", GROUP)
+    monkeypatch.setattr(DRIVERS, "_entries", {**DRIVERS._found(), "ur": entry})
+    made: dict[str, Any] = {}
+    for arm in ("", "kuka", "ur"):
+        found = tmp_path / f"{arm}.json"
+        given = ["explore", "lab:two-60-150", "--clean", "--touches", "2", "--beta-model", "none", "--viewer", "none"]
+        assert main([*given, *(["--arm", arm] if arm else []), "--json", str(found)]) == 0, capsys.readouterr().err
+        made[arm] = json.loads(found.read_text())
+    usual = made.pop("")
+    for one in made.values():
+        assert [touch["xy_m"] for touch in one["touches"]] == [touch["xy_m"] for touch in usual["touches"]]
+        for touch, other in zip(one["touches"], usual["touches"], strict=True):
+            assert touch["peak_force_n"] == pytest.approx(other["peak_force_n"], abs=0.3)
+        assert one["max_force_n"] == pytest.approx(usual["max_force_n"], abs=0.3)
+        assert one["truth"]["iou"] == pytest.approx(usual["truth"]["iou"], abs=0.03)
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        (["--arm", "franka"], "--arm jaco, kuka"),
+        (["--arm", "placed"], "--arm jaco, kuka"),
+        (["--arm", "kuka", "--fault", "arm-frozen@1"], "the Jaco of the laboratory"),
+        (["--arm", "kuka", "--robot", "gripper"], "without --robot"),
+    ],
+)
+def test_an_arm_that_the_laboratory_cannot_have_is_named(given: list[str], expected: str, capsys: Capture) -> None:
+    assert main(["explore", "lab:two-60-150", "--touches", "1", "--viewer", "none", *given]) == 2
+    assert expected in capsys.readouterr().err
