@@ -78,6 +78,7 @@ COMMANDS: dict[str, Command] = {
     "calibrate force": _command(
         "find the force sensor's orientation, by pushing the tip", "ForceConfig", "calibrate_setup"
     ),
+    "calibrate tool": _command("weigh the tool on the force sensor, by tilting it", "ToolConfig", "calibrate_setup"),
     "calibrate time": _command("find clock offsets, by tapping the tip", "TimeConfig", "calibrate_setup"),
     "calibrate arm": _command(
         "measure the arm's compliance, on something rigid", "ArmConfig", "calibrate_setup", "arm"

@@ -34,6 +34,7 @@ EXAMPLES: dict[str, str] = {
     "calibrate place": _PLACED.strip(),
     "calibrate camera": _DOUBLES + "deformscope calibrate camera rig.toml --picture views.png",
     "calibrate force": _PLACED + "deformscope calibrate force rig.toml",
+    "calibrate tool": _PLACED + "deformscope calibrate force rig.toml\ndeformscope calibrate tool rig.toml",
     "calibrate time": _DOUBLES + "deformscope calibrate time rig.toml",
     "calibrate arm": "deformscope calibrate arm lab:homogeneous-rigid",
     "certify": "deformscope certify lab:block-162 --sample lab-block --touches 1",

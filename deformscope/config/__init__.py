@@ -48,7 +48,15 @@ from deformscope.config.rigs import (
     RigRunOptions,
     VerifyConfig,
 )
-from deformscope.config.setup import CameraConfig, ForceConfig, PlaceConfig, SetupOptions, TimeConfig, TipConfig
+from deformscope.config.setup import (
+    CameraConfig,
+    ForceConfig,
+    PlaceConfig,
+    SetupOptions,
+    TimeConfig,
+    TipConfig,
+    ToolConfig,
+)
 from deformscope.config.simulate import SimulateConfig
 from deformscope.config.squeeze import (
     DatasetConfig,

@@ -91,6 +91,16 @@ class ForceConfig(SetupOptions):
 
 
 @dataclass(frozen=True, slots=True)
+class ToolConfig(SetupOptions):
+    """Find the weight of all that the force sensor carries, with six axes its centre of mass too: hold the stick in
+    free air, tilted each way. The weight is then taken out of the readings as the arm turns. --measured: T_base_ee,
+    force_n and torque_nm (n, 3)."""
+
+    poses: Annotated[int, flags.least(4)] = 8
+    """Number of poses."""
+
+
+@dataclass(frozen=True, slots=True)
 class TimeConfig(SetupOptions):
     """Find the delay of another device's clock relative to the force sensor's, from taps on the tip. --measured:
     x_time_s, x, y_time_s, y; or a recording of any command in which the tip was tapped."""

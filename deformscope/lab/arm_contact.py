@@ -99,6 +99,10 @@ class ArmContact:
                 return np.asarray(load_n - self._kinematic()[:3, :3].T @ force_n)
         return load_n
 
+    def tool_load_n(self, weight_n: float) -> FloatArray:
+        """(3,) what a tool's weight [N] adds to `load`."""
+        return np.asarray(-weight_n * self._kinematic()[2, :3])
+
     def hit(self, force_n: npt.ArrayLike, duration_s: float) -> None:
         """From now on another object pushes the tip with this force (3,) [N] in the surface frame."""
         now_ns = self._clock()

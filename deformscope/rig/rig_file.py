@@ -99,6 +99,9 @@ class Tool:
     compliance_sd: its deviation [m/N]. `deformscope calibrate arm` measures both
     force_gain: the sensor's forces over true forces; force_gain_sd: its deviation, None = not measured: that
     of the data sheet. `deformscope calibrate force --weight` measures both
+    weight_n: (3,) weight of all that the force sensor carries, in the base frame, which is taken out of its readings as
+    the arm turns; weight_center_m: (3,) its centre of mass in the sensor's frame. `deformscope calibrate tool` measures
+    both
     """
 
     length_m: float = 0.1
@@ -111,6 +114,8 @@ class Tool:
     R_tip_force: tuple[tuple[float, ...], ...] | None = None
     force_gain: float = 1.0
     force_gain_sd: float | None = None
+    weight_n: tuple[float, float, float] | None = None
+    weight_center_m: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
         sections.check(0 <= self.length_m <= 1, "length_m between 0 and 1", self.length_m)
@@ -125,6 +130,8 @@ class Tool:
         sections.check(given is None or 0 <= given < 0.01, "compliance_m_per_n between 0 and 0.01", given)
         sections.check(0 <= self.compliance_sd < 0.01, "compliance_sd between 0 and 0.01", self.compliance_sd)
         sections.check(0.5 <= self.force_gain <= 2, "force_gain between 0.5 and 2", self.force_gain)
+        weight_n = 0.0 if self.weight_n is None else math.hypot(*self.weight_n)
+        sections.check(0 <= weight_n <= 100, "weight_n of 100 N or less", self.weight_n)
         known_to = self.force_gain_sd
         sections.check(known_to is None or 0 <= known_to <= 0.2, "force_gain_sd between 0 and 0.2", known_to)
 

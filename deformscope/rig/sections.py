@@ -204,7 +204,7 @@ class SqueezeSection:
 
 # Date and accuracy of each part of a rig's calibration: `deformscope calibrate` writes them with the values
 
-DAYS = {"arm": 365, "place": 30, "tip": 180, "camera": 90, "force": 180, "time": 365}
+DAYS = {"arm": 365, "place": 30, "tip": 180, "camera": 90, "force": 180, "time": 365, "tool": 180}
 """Days after which each calibration is repeated: a table is moved sooner than a stick is bent. Chosen."""
 
 LATEST_S = 0.5
@@ -217,7 +217,8 @@ class CalibrationEntry:
 
     date: date of the calibration; half_m, half_deg: half widths of the 90 % intervals of a translation along x, y, z
     [m] and of a turn about them [deg], in the transform's target frame; half_size_m: half widths of the intervals of a
-    surface's sides [m]; half_gain: half width of the interval of the force sensor's gain
+    surface's sides [m]; half_gain: half width of the interval of the force sensor's gain;
+    half_weight_n: half width of that of a tool's weight
     offset_s, half_s: delay of `device` relative to the force sensor `beside`, below 0 a lead
     oldest_days: age at which it is measured again, None = the usual one of its kind"""
 
@@ -226,6 +227,7 @@ class CalibrationEntry:
     half_deg: tuple[float, ...] = ()
     half_size_m: tuple[float, ...] = ()
     half_gain: float | None = None
+    half_weight_n: float | None = None
     offset_s: float | None = None
     half_s: float | None = None
     device: str = ""
@@ -234,7 +236,7 @@ class CalibrationEntry:
 
     def __post_init__(self) -> None:
         check(isinstance(self.date, datetime.date), "date = YEAR-MONTH-DAY", self.date)
-        halves = (*self.half_m, *self.half_deg, *self.half_size_m, self.half_gain or 0.0)
+        halves = (*self.half_m, *self.half_deg, *self.half_size_m, self.half_gain or 0.0, self.half_weight_n or 0.0)
         check(all(value >= 0.0 for value in halves), "half widths of 0 or more", halves)
         check(self.oldest_days is None or self.oldest_days > 0, "oldest_days above 0", self.oldest_days)
 
@@ -253,6 +255,7 @@ class CalibratedSection:
     camera: CalibrationEntry | None = None
     force: CalibrationEntry | None = None
     time: CalibrationEntry | None = None
+    tool: CalibrationEntry | None = None
 
     def late_ns(self, devices: Collection[str]) -> dict[str, int]:
         """The delay of a device, by name [ns]: only the later of the two compared devices has one, so that no stamp

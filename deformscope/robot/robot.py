@@ -141,6 +141,7 @@ class Robot:
         self.commanded = array("d")
         self.seen = RobotObservation(clock())
         self._pose: ArmSample | None = None
+        self._first_weight_n: FloatArray | None = None
         self._force: ForceSample | None = None
         self._speed_m_s = 0.0
         self._angular_rad_s: FloatArray = np.zeros(3)
@@ -427,7 +428,8 @@ class Robot:
         arms = tuple(map(ArmSample.of, states))
         if arms:
             self._pose = arms[-1]
-        samples = tuple(ForceSample.of(reading, self.tare_n) for reading in forces)
+        free_n = self.tare_n + self._turned_weight_n()
+        samples = tuple(ForceSample.of(reading, free_n) for reading in forces)
         if samples:
             self._force = samples[-1]
         return RobotObservation(
@@ -442,6 +444,16 @@ class Robot:
                 if device is not None and device.link is not Link.CONNECTED
             ),
         )
+
+    def _turned_weight_n(self) -> FloatArray:
+        """(3,) change of the tool's weight in the sensor's readings since the arm was first seen, which is in the
+        tare [N]."""
+        if self._pose is None or self.placement.tool.weight_n is None:
+            return np.zeros(3)
+        weight_n = self.placement.weight_on_sensor_n(self._pose.T_base_ee)
+        if self._first_weight_n is None:
+            self._first_weight_n = weight_n
+        return weight_n - self._first_weight_n
 
     def _listen(self) -> None:
         """Open new, empty queues of the devices; a device that has ended gives none, and its link reports that."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.experiments.rig.rig_calibration import BoardViews, ForceReadings, PushedTip, Taps, taps_of
+from deformscope.experiments.rig.rig_calibration import BoardViews, ForceReadings, PushedTip, Taps, WeighedTool, taps_of
 from deformscope.frames import ArmFrame, ColorFrame, DepthFrame, Frame, WrenchFrame
 from deformscope.pictures.setup import off_figure, offset_figure
 from deformscope.rig.rig_edit import TomlValue
@@ -17,7 +17,7 @@ from deformscope.rig.rig_file import Rig
 from deformscope.robot.placement import Placement
 from deformscope.runs.rig_calibration import Arrays, RigCalibrationResult
 from deformscope.stages.setup.board import CharucoSpec
-from deformscope.stages.setup.force import FreeAir, force_gain, free_air, hanging_weight, mount
+from deformscope.stages.setup.force import FreeAir, force_gain, free_air, hanging_weight, mount, tool_load
 from deformscope.stages.setup.hand_eye import KnownLens, camera_from_touches, camera_from_views, doubt_at, hand_eye
 from deformscope.stages.setup.place import CORNER_NAMES, place
 from deformscope.stages.setup.timing import time_offset
@@ -354,6 +354,57 @@ def force_arrays(found: Arrays, load_n: float | None = None) -> MeasuredPushes:
     force_n, axis = _pair(_array(found, "force_n", (3,)), _array(found, "axis", (3,)))
     loaded_n = np.zeros((0, 3)) if load_n is None else _array(found, "loaded_n", (3,))
     return MeasuredPushes(force_n, axis, load_n=load_n, loaded_n=loaded_n)
+
+
+# The tool on the sensor -----------------------------------------------------------------------------------------------
+
+GRAVITY_M_S2 = 9.80665
+
+
+def solve_tool(rig: Rig, made: WeighedTool) -> RigCalibrationResult:
+    """`[tool] weight_n`, and for a sensor of six axes `weight_center_m`."""
+    placement = Placement(np.eye(4), rig.tool)
+    R_tip_force = np.eye(3) if rig.tool.R_tip_force is None else np.array(rig.tool.R_tip_force)
+    found = tool_load(made.force_n, made.torque_nm, (made.T_base_ee @ placement.T_ee_center)[:, :3, :3], R_tip_force)
+    weight, half_n = found.weight, found.weight.weight_half_n
+    tool: dict[str, TomlValue] = {"weight_n": _plain(weight.weight_n * weight.down, 4)}
+    dated: dict[str, TomlValue] = {"half_weight_n": round(half_n, 4)}
+    kg, half_kg = weight.weight_n / GRAVITY_M_S2, half_n / GRAVITY_M_S2
+    rows = [
+        ("tool", f"{weight.weight_n:.3f} N, give or take {half_n:.3f}: {kg:.4f} kg +- {half_kg:.4f}"),
+        ("bias", _with_halves(weight.bias_n, weight.bias_half_n, "N")),
+    ]
+    if found.center_m is not None and found.center_half_m is not None:
+        tool["weight_center_m"], dated["half_m"] = _plain(found.center_m, 5), _plain(found.center_half_m, 5)
+        rows.append(("centre of mass", _with_halves(1e3 * found.center_m, 1e3 * found.center_half_m, "mm")))
+        assert found.bias_nm is not None
+        assert found.bias_half_nm is not None
+        rows.append(("bias of torque", _with_halves(1e3 * found.bias_nm, 1e3 * found.bias_half_nm, "mN m")))
+    return RigCalibrationResult(
+        "tool",
+        {"tool": tool, "calibrated.tool": dated},
+        tuple(rows),
+        off_figure(
+            weight.off_n,
+            _numbered(len(weight.off_n)),
+            "N",
+            float(np.sqrt((weight.off_n**2).mean())),
+            each="pose",
+            caption="Difference of each pose's force from that of bias and weight",
+        ),
+        {"mass_kg": kg, "mass_half_kg": half_kg, "level": LEVEL, "load": found},
+    )
+
+
+def _with_halves(values: FloatArray, halves: FloatArray, unit: str) -> str:
+    return ", ".join(f"{value:.2f} +- {half:.2f}" for value, half in zip(values, halves, strict=True)) + f" {unit}"
+
+
+def tool_arrays(found: Arrays) -> WeighedTool:
+    """The arrays T_base_ee (n, 4, 4), force_n and, of a sensor of six axes, torque_nm (n, 3) for a file."""
+    poses, force_n = _pair(_array(found, "T_base_ee", (4, 4)), _array(found, "force_n", (3,)))
+    torque_nm = _pair(_array(found, "torque_nm", (3,)), force_n)[0] if "torque_nm" in found else None
+    return WeighedTool(poses, force_n, torque_nm)
 
 
 # Clocks ---------------------------------------------------------------------------------------------------------------

@@ -5,9 +5,16 @@ from typing import Any
 
 import numpy as np
 
-from deformscope.config import CameraConfig, ForceConfig, PlaceConfig, TimeConfig, TipConfig
+from deformscope.config import CameraConfig, ForceConfig, PlaceConfig, TimeConfig, TipConfig, ToolConfig
 from deformscope.errors import InputError
-from deformscope.experiments.rig.rig_calibration import push_tip, tap_tip, tilt_about_tip, touch_corners, view_board
+from deformscope.experiments.rig.rig_calibration import (
+    push_tip,
+    tap_tip,
+    tilt_about_tip,
+    touch_corners,
+    view_board,
+    weigh_tool,
+)
 from deformscope.frames import ArmFrame, ColorFrame, DepthFrame
 from deformscope.rig.rig_file import load_rig
 from deformscope.robot.setup import only_device
@@ -23,8 +30,10 @@ from deformscope.runs.calibration_solvers import (
     solve_place,
     solve_time,
     solve_tip,
+    solve_tool,
     time_arrays,
     tip_arrays,
+    tool_arrays,
 )
 from deformscope.runs.rig_calibration import SetupTask, Station
 from deformscope.session import RigExperiment
@@ -81,6 +90,17 @@ def _force(config: ForceConfig) -> SetupTask[Any]:
     )
 
 
+def _tool(config: ToolConfig) -> SetupTask[Any]:
+    """Weight and centre of mass of what the force sensor carries."""
+    return SetupTask(
+        "tool",
+        ("arm", "wrench"),
+        lambda at: weigh_tool(at.operator, at.arm, at.wrench, config.poses, say),
+        tool_arrays,
+        solve_tool,
+    )
+
+
 def _time(config: TimeConfig) -> SetupTask[Any]:
     """Offset between the clocks of force sensor and another device."""
     rig = load_rig(config.rig, trusted=config.trust_rig)
@@ -108,5 +128,6 @@ TASKS: dict[type, Callable[[Any], SetupTask[Any]]] = {
     CameraConfig: _camera,
     ForceConfig: _force,
     TimeConfig: _time,
+    ToolConfig: _tool,
 }
 """By options. Each raises InputError if the rig file lacks a required key."""

@@ -1,4 +1,4 @@
-"""`deformscope calibrate tip`, `place`, `camera`, `force` and `time`: measure, solve, write."""
+"""`deformscope calibrate tip`, `place`, `camera`, `force`, `tool` and `time`: measure, solve, write."""
 
 import dataclasses
 import datetime
@@ -43,7 +43,7 @@ TAPS_S = (0.9, 1.3, 0.7, 1.6, 1.0)
 class RigCalibrationResult:
     """Result of a rig calibration.
 
-    kind: place, tip, camera, force or time; values: values for the rig file; rows: names and values of the table;
+    kind: place, tip, camera, force, tool or time; values: values for the rig file; rows: names and values of the table;
     figure: how far each measurement is off; found: results for JSON; kept: what its recording has for a replay"""
 
     kind: str

@@ -190,3 +190,23 @@ def test_the_first_day_in_its_order() -> None:
     old += "[calibrated.tip]\ndate = 2020-01-01\n"
     assert commissioning_steps(parse_rig(old, "rig.toml"), "rig.toml")[0].state == "old"
     assert commissioning_steps(parse_rig('[devices.a]\ndriver = "webcam"\n', "rig.toml"), "rig.toml") == ()
+
+
+def test_a_tool_is_weighed_and_its_weight_taken_out_in_any_pose(rig: Path) -> None:
+    rig.write_text(rig.read_text() + "R_tip_force = [[0, 1, 0], [1, 0, 0], [0, 0, -1]]\n")
+    R, weight_n, center_m = np.array([[0, 1, 0], [1, 0, 0], [0, 0, -1]]), np.array([0, 0, -1.5]), np.array([0, 0, 0.05])
+    poses = tilts()
+    force_n = np.array([R.T @ pose[:3, :3].T @ weight_n for pose in poses])
+    given = {"T_base_ee": poses, "force_n": force_n + 0.3, "torque_nm": np.cross(center_m, force_n) - 0.02}
+    status, found = calibrate("tool", rig, **given)
+    assert status == 0
+    assert found["mass_kg"] == pytest.approx(1.5 / 9.80665)
+    made = load_rig(rig)
+    assert made.tool.weight_n == pytest.approx((0, 0, -1.5), abs=1e-3)
+    assert made.tool.weight_center_m == pytest.approx((0, 0, 0.05), abs=1e-4)
+    assert made.calibrated.tool is not None
+    assert 0 < made.calibrated.tool.half_weight_n < 0.05
+    assert "tool" in made.calibrated.ages()
+    other = rigid(Rotation.from_euler("xyz", [150, 30, 80], degrees=True).as_matrix(), (0.1, 0.2, 0.3))
+    felt_n = R.T @ other[:3, :3].T @ weight_n
+    np.testing.assert_allclose(Placement(np.eye(4), made.tool).weight_on_sensor_n(other), felt_n, atol=1e-3)

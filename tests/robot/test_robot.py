@@ -6,14 +6,17 @@ import numpy as np
 import pytest
 
 from deformscope.errors import InputError
-from deformscope.rig.rig_file import Workspace
+from deformscope.lab.touch_lab import TouchLab
+from deformscope.rig.rig_file import Tool, Workspace
 from deformscope.robot.advice import advice
 from deformscope.robot.latch import Action
 from deformscope.robot.preflight import check
 from deformscope.robot.readings import RobotObservation
-from deformscope.robot.robot import RobotStopped, TipVelocity
+from deformscope.robot.robot import Robot, RobotStopped, TipVelocity
 from deformscope.robot.supervisor import Fault, Limits, SafetyDecision
 from deformscope.robot.travel import step
+from deformscope_drivers.arm import JointVelocity
+from deformscope_drivers.arm.kinematics import FloatArray
 from studies.fault_study import FaultScene, make_scene
 
 UP = TipVelocity(np.array([0.0, 0.0, 0.02]))
@@ -186,3 +189,32 @@ def test_a_way_that_was_checked_is_not_begun_after_a_push() -> None:
         step(scene.robot, UP)
     assert not any(scene.robot.commanded)
     scene.lab.close()
+
+
+class Nothing:
+    """A world without anything."""
+
+    def press(self, center_m: FloatArray) -> FloatArray:
+        return np.zeros(3)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_the_weight_of_the_tool_is_taken_out_as_the_arm_turns(known: bool) -> None:
+    weight_n = np.array([0.0, 0.0, -2.0])
+    labs: list[TouchLab] = []
+
+    def sensed(load_n: FloatArray, time_s: float) -> FloatArray:
+        lab = labs[0]
+        return load_n + weight_n @ (lab.body.T_base_end_effector @ lab.placement.T_ee_center)[:3, :3]
+
+    tool = Tool(weight_n=tuple(weight_n.tolist()) if known else None)
+    labs.append(TouchLab(Nothing(), tool=tool, sensed=sensed))
+    lab = labs[0]
+    with lab:
+        limits = Limits(low_m=(-2.0,) * 3, high_m=(2.0,) * 3)
+        robot = Robot(lab.arm, lab.force, lab.placement, limits, clock=lab.clock, wait_until=lab.wait_until)
+        robot.stand_by(0.1)
+        lab.arm.set_velocity(JointVelocity((0.0, 0.0, 0.0, 0.0, 15.0, 0.0)), 2.0)
+        robot.stand_by(2.5)
+        force_n = np.mean([one.force_n for one in robot.seen.forces], axis=0)
+    assert (np.linalg.norm(force_n) < 0.05) == known, force_n

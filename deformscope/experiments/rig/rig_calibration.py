@@ -220,15 +220,36 @@ def push_tip(
         under_n = _forces((yield from _frames(PUSH_S, {wrench: WrenchFrame}))[wrench]).force_n
         loaded.append(np.asarray(np.median(under_n, axis=0) - np.median(before_n, axis=0)))
         note(f"  {np.linalg.norm(loaded[-1]):.2f} N")
-    tilted, weighed = [], []
-    for number in range(tilts):
-        words = f"keep the tip free of contact, tilt the stick {TILT_WORDS[number % len(TILT_WORDS)]} by 30 degrees"
-        tilted.append((yield from _held(operator, SetupRequest("tilt", number, words), arm, note)).T_base_ee)
-        frames = yield from _frames(PUSH_S, {wrench: WrenchFrame})
-        weighed.append(_forces(frames[wrench]).force_n.mean(axis=0))
-    poses, forces = np.array(tilted).reshape(-1, 4, 4), np.array(weighed).reshape(-1, 3)
+    weighed = yield from weigh_tool(operator, arm, wrench, tilts, note)
     under = np.array(loaded).reshape(-1, 3)
-    return PushedTip(pose, free, np.array(forces_n), np.array(axes), poses, forces, load_n, under)
+    both = weighed.T_base_ee, weighed.force_n
+    return PushedTip(pose, free, np.array(forces_n), np.array(axes), *both, load_n, under)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WeighedTool:
+    """T_base_ee: (n, 4, 4) poses of the arm's end, in free air; force_n, torque_nm: (n, 3) mean readings in them, in
+    the sensor's axes [N, N m]; torque_nm: None for a sensor of three axes"""
+
+    T_base_ee: FloatArray
+    force_n: FloatArray
+    torque_nm: FloatArray | None = None
+
+
+def weigh_tool(
+    operator: Assistant, arm: str, wrench: str, count: int, note: Callable[[str], None]
+) -> RigExperiment[WeighedTool]:
+    """The sensor's readings with the stick tilted several times, in free air."""
+    poses, forces, torques = [], [], []
+    for number in range(count):
+        words = f"keep the tip free of contact, tilt the stick {TILT_WORDS[number % len(TILT_WORDS)]} by 30 degrees"
+        poses.append((yield from _held(operator, SetupRequest("tilt", number, words), arm, note)).T_base_ee)
+        frames = (yield from _frames(PUSH_S, {wrench: WrenchFrame}))[wrench]
+        forces.append(_forces(frames).force_n.mean(axis=0))
+        if all(isinstance(one, WrenchFrame) and one.torque_nm is not None for one in frames):
+            torques.append(np.mean([one.torque_nm[0] for one in frames], axis=0))  # type: ignore[union-attr,index]
+    torque_nm = np.array(torques) if torques else None
+    return WeighedTool(np.array(poses).reshape(-1, 4, 4), np.array(forces).reshape(-1, 3), torque_nm)
 
 
 def _forces(frames: Sequence[Frame]) -> ForceReadings:

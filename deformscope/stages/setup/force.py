@@ -14,8 +14,11 @@ from deformscope.stages.setup.transform import ErrorPrior, half_widths, judged
 
 PUSHED = ErrorPrior(np.radians(6.0))
 """Deviation of the direction of a push by hand [rad]."""
-FREE = ErrorPrior(0.01)
-"""Deviation of a mean force in free air [N]."""
+FREE, FREE_NM = ErrorPrior(0.01), ErrorPrior(0.001)
+"""Deviation of a mean force and torque in free air [N, N m]."""
+LEAST_WEIGHT_N, MOST_OFF = 0.2, 0.1
+"""Least weight whose centre can be found, and largest share of a weight that its readings may be off: an axis of the
+sensor that is turned wrongly leaves most of it. Chosen."""
 PRESSED = ErrorPrior(0.02)
 """Standard deviation of a scale's load while a person holds it [N]: 2 g."""
 LEAST_N = 0.5
@@ -156,13 +159,21 @@ class HangingWeight:
     """Load of the sensor, from readings in free air in several poses.
 
     weight_n, weight_half_n: its weight and half its interval [N]; bias_n: (3,) reading without it
-    down: (3,) direction of its weight, base frame: an upright base has (0, 0, -1); off_n: (n,) left over"""
+    down: (3,) direction of its weight, base frame: an upright base has (0, 0, -1); off_n: (n,) left over
+    covariance: (6, 6) covariance of bias and weight, base frame; dof: its scale's degrees of freedom"""
 
     weight_n: float
     weight_half_n: float
     bias_n: FloatArray
     down: FloatArray
     off_n: FloatArray
+    covariance: FloatArray
+    dof: float
+
+    @property
+    def bias_half_n(self) -> FloatArray:
+        """(3,) half the interval of the bias [N]."""
+        return half_widths(self.covariance, self.dof)[:3]
 
 
 def hanging_weight(force_n: FloatArray, R_base_tip: FloatArray, R_tip_force: FloatArray) -> HangingWeight:
@@ -184,4 +195,49 @@ def hanging_weight(force_n: FloatArray, R_base_tip: FloatArray, R_tip_force: Flo
     down = value[3:] / max(weight_n, 1e-9)
     half = half_widths(np.atleast_2d(down @ found.covariance[3:, 3:] @ down), found.dof)
     off_n = np.linalg.norm(left_over.reshape(-1, 3), axis=1)
-    return HangingWeight(weight_n, float(half[0]), value[:3], down, off_n)
+    return HangingWeight(weight_n, float(half[0]), value[:3], down, off_n, found.covariance, found.dof)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ToolLoad:
+    """What a sensor carries. weight: from its forces; center_m, center_half_m: (3,) the centre of mass in the sensor's
+    frame and half its interval, bias_nm, bias_half_nm: (3,) the torque without it; None without torques"""
+
+    weight: HangingWeight
+    center_m: FloatArray | None = None
+    center_half_m: FloatArray | None = None
+    bias_nm: FloatArray | None = None
+    bias_half_nm: FloatArray | None = None
+
+
+def tool_load(
+    force_n: FloatArray, torque_nm: FloatArray | None, R_base_tip: FloatArray, R_tip_force: FloatArray
+) -> ToolLoad:
+    """Weight, and centre of mass, from mean readings of a six-axis sensor; arguments as in `hanging_weight`, torque_nm:
+    (n, 3) [N m], None for a sensor of three axes. Torques are linear in the centre: t = b + c x f (Kubus et al. 2007).
+
+    Raises InputError for poses that are turned too little, a weight below LEAST_WEIGHT_N, and forces of no weight."""
+    weight = hanging_weight(force_n, R_base_tip, R_tip_force)
+    if weight.weight_n < LEAST_WEIGHT_N:
+        raise InputError(f"a tool of {LEAST_WEIGHT_N:g} N or more", f"{weight.weight_n:.2f} N", "no calibration of it")
+    off = float(np.sqrt((weight.off_n**2).mean())) / weight.weight_n
+    if off > MOST_OFF:
+        came = f"forces that are off by {100.0 * off:.0f} % of it"
+        raise InputError("forces of one weight", came, "deformscope calibrate force RIG first, and poses in free air")
+    if torque_nm is None:
+        return ToolLoad(weight)
+    turns = np.swapaxes(np.asarray(R_base_tip @ R_tip_force, np.float64), -1, -2)
+    levers = -_crossed(turns @ (weight.weight_n * weight.down))  # c x f, as a matrix of c
+    design = np.concatenate([np.broadcast_to(np.eye(3), levers.shape), levers], axis=2).reshape(-1, 6)
+    inverse = np.linalg.inv(design.T @ design)
+    value = inverse @ (design.T @ torque_nm.ravel())
+    found = judged(value, inverse, design @ value - torque_nm.ravel(), FREE_NM)
+    by_weight = inverse @ design.T @ (_crossed(value[3:]) @ turns).reshape(-1, 3)  # the weight is known to its interval
+    covariance = found.covariance + by_weight @ weight.covariance[3:, 3:] @ by_weight.T
+    half = half_widths(covariance, found.dof)
+    return ToolLoad(weight, value[3:], half[3:], value[:3], half[:3])
+
+
+def _crossed(vectors: FloatArray) -> FloatArray:
+    """(..., 3, 3) that give the cross product of vectors (..., 3) with another."""
+    return np.asarray(np.cross(vectors[..., None, :], np.eye(3)).swapaxes(-1, -2))

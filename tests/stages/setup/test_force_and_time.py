@@ -1,5 +1,7 @@
 """How a force sensor sits, what hangs on it, and by how much clocks differ."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.signal import correlate
@@ -8,10 +10,11 @@ from scipy.stats import binom
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.stages.setup.force import PRESSED, PUSHED, force_gain, free_air, hanging_weight, mount
+from deformscope.stages.setup.force import PRESSED, PUSHED, force_gain, free_air, hanging_weight, mount, tool_load
 from deformscope.stages.setup.timing import time_offset
 
 DRAWS = 200
+DOWN = Rotation.from_euler("x", 180, degrees=True)
 AT_LEAST, AT_MOST = (int(binom.ppf(share, DRAWS, 0.9)) for share in (1e-4, 1.0 - 1e-4))
 AXES = np.array([[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1], [0, 0, 1]], dtype=float)
 
@@ -161,3 +164,52 @@ def test_signals_without_a_tap_are_refused() -> None:
         time_offset(x_time_s, x, y_time_s, tap(y_time_s, np.array([1.5, 2.7])))
     with pytest.raises(InputError, match="both signals have"):
         time_offset(x_time_s, x, y_time_s + 100.0, y)
+
+
+def weighed(random: np.random.Generator, noise: tuple[float, float], count: int = 8) -> tuple[tuple[Any, ...], Any]:
+    """Arguments of `tool_load` for a tool, by the laws of a rigid body, and its weight (3,), centre and biases."""
+    turns = np.array([(Rotation.from_rotvec(0.6 * random.standard_normal(3)) * DOWN).as_matrix() for _ in range(count)])
+    R = Rotation.from_euler("z", random.uniform(0, 360), degrees=True).as_matrix() @ np.diag([1.0, 1.0, -1.0])
+    weight_n, center_m = np.array([0.1, -0.2, -1.9]), np.array([0.01, -0.02, 0.06])
+    bias_n, bias_nm = random.standard_normal(3), 0.1 * random.standard_normal(3)
+    pulled_n = np.array([R.T @ turn.T @ weight_n for turn in turns])
+    force_n = bias_n + pulled_n + noise[0] * random.standard_normal((count, 3))
+    torque_nm = bias_nm + np.cross(center_m, pulled_n) + noise[1] * random.standard_normal((count, 3))
+    return (force_n, torque_nm, turns, R), (weight_n, center_m, bias_n, bias_nm)
+
+
+def test_a_tool_of_known_mass_and_centre_is_found_exactly() -> None:
+    given, (weight_n, center_m, bias_n, bias_nm) = weighed(np.random.default_rng(4), (0.0, 0.0))
+    found = tool_load(*given)
+    np.testing.assert_allclose(found.weight.weight_n * found.weight.down, weight_n, atol=1e-9)
+    np.testing.assert_allclose(found.center_m, center_m, atol=1e-9)
+    np.testing.assert_allclose(found.weight.bias_n, bias_n, atol=1e-9)
+    np.testing.assert_allclose(found.bias_nm, bias_nm, atol=1e-9)
+    assert tool_load(given[0], None, *given[2:]).center_m is None
+
+
+def test_nine_of_ten_intervals_of_a_tool_hold_the_truth() -> None:
+    random, held = np.random.default_rng(5), []
+    for _ in range(DRAWS):
+        given, (weight_n, center_m, bias_n, bias_nm) = weighed(random, (0.01, 0.001))
+        found = tool_load(*given)
+        off_n = found.weight.weight_n - np.linalg.norm(weight_n)
+        held.append(
+            [
+                abs(off_n) <= found.weight.weight_half_n,
+                *(np.abs(found.weight.bias_n - bias_n) <= found.weight.bias_half_n),
+                *(np.abs(found.center_m - center_m) <= found.center_half_m),
+                *(np.abs(found.bias_nm - bias_nm) <= found.bias_half_nm),
+            ]
+        )
+    assert all(AT_LEAST <= count <= AT_MOST for count in np.sum(held, axis=0)), np.sum(held, axis=0)
+
+
+def test_a_tool_that_cannot_be_weighed_is_refused() -> None:
+    (force_n, torque_nm, turns, R), _ = weighed(np.random.default_rng(6), (0.0, 0.0))
+    with pytest.raises(InputError, match="turned too little"):
+        tool_load(force_n, torque_nm, np.array([turns[0]] * 8), R)
+    with pytest.raises(InputError, match="a tool of"):
+        tool_load(np.ones((8, 3)), torque_nm, turns, R)
+    with pytest.raises(InputError, match="forces of one weight"):
+        tool_load(force_n, torque_nm, turns, Rotation.from_euler("x", 90, degrees=True).as_matrix())
