@@ -1,8 +1,7 @@
-"""Results between frames and estimates: one tree of named frames, the pixels used, the surface under a touch.
+"""Results between frames and estimates: one tree of named frames, the pixels used, the error over beta.
 
 display/perception/frames/...    world, surface, camera, arm_base, tool: a transform each, of the frame of this name
 display/perception/pixels        labels of the newest depth image that something was computed from
-display/perception/surface/...   the surface under the newest touch, coloured by its deviation, and tactile points
 display/perception/error         error over beta
 display/perception/maps/... each map as an image on the surface, with its values as `value`"""
 
