@@ -122,7 +122,7 @@ def thinned(chunk: Chunk, keep: Callable[[str, Any], Any]) -> list[Chunk]:
     kind, batch = kind_of(chunk), chunk.to_record_batch()
     if kind == "raw" and not chunk.is_static and keep is not everything:
         return []
-    if str(chunk.entity_path).startswith(("/display/perception/maps/", "/display/perception/surface/")):
+    if str(chunk.entity_path).startswith("/display/perception/maps/"):
         return []  # large views of what other entities hold
     if kind in EVERY and not chunk.is_static and keep is not everything:
         names = [name for name in batch.schema.names if name.endswith("Frame:stamp.host_ns")]
