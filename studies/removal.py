@@ -42,6 +42,7 @@ from deformscope.stages.see.robot import label_robot, measured
 from deformscope_drivers.arm.kinematics import transform
 from deformscope_drivers.depth_camera import SENSORS
 from deformscope_drivers.jaco.chains import J2N6S300
+from studies.kinect import observed_m
 from studies.quantities import Quantity, Row, by, rows
 from studies.runner import Study, StudyOptions, StudyReport, Trials
 from studies.seeds import reported
@@ -156,7 +157,7 @@ class RemovalScene:
 
     def _measure(self, exact: Rendered, sensor: Sensor) -> FloatArray:
         if sensor == "plain":
-            return self.view.observe(exact, self._random) * self.view.config.unit_m
+            return observed_m(exact, self._random)
         return SENSORS[sensor].measure(exact.depth_m, self.view.intrinsics.fx_px, self._random)
 
     def T_surface_camera(self, about: About) -> FloatArray:

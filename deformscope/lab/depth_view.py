@@ -2,7 +2,6 @@
 
     view = DepthView(scene, DepthViewConfig(width=320, height=240))
     exact = view.render(world.displaced_m(contact, view.places_m), [Capsule(tip_m, wrist_m, 0.008)])
-    depth = view.observe(exact, random)                      # (H, W) uint16 [mm], 0 where the camera measured nothing
     exact.depth_m, exact.color, exact.seen                   # without noise; what each pixel fell on
 
 The camera looks at the slab's middle from 0.8 m, at 45 degrees, across the long edge at y = 0.4 m unless set otherwise.

@@ -23,15 +23,12 @@ COLOR = np.array([[0, 0, 0], [92, 84, 76], [206, 196, 150], [70, 74, 82], [186, 
 
 @dataclass(frozen=True, slots=True)
 class DepthViewConfig:
-    """A camera, its pose, and its errors.
+    """A camera and its pose; it has no errors: its driver's double adds them.
 
     width, height: [px]; focal_px: focal length at 640 pixels of width; smaller images show the same view; distance_m:
     distance from the middle of its view; elevation_deg: elevation of the camera above the table, as seen from there
     azimuth_deg: its direction around that, from the x axis towards y
-    noise_m, noise_per_m: deviation of depth z is noise_m + noise_per_m z^2 [m]; the default is a first Kinect's, which
-    has the same sensor (1.4 mm at 1 m: Khoshelham and Oude Elberink 2012)
-    missing: share of pixels without depth; grazing_deg: surfaces seen at a smaller angle than this have no depth
-    unit_m: step of depth; far_m: farthest depth that is measured"""
+    grazing_deg: surfaces of a container seen at a smaller angle than this have no depth"""
 
     width: int = 640
     height: int = 480
@@ -39,12 +36,7 @@ class DepthViewConfig:
     distance_m: float = 0.8
     elevation_deg: float = 45.0
     azimuth_deg: float = 90.0
-    noise_m: float = 0.0
-    noise_per_m: float = 1.425e-3
-    missing: float = 0.01
     grazing_deg: float = 12.0
-    unit_m: float = 0.001
-    far_m: float = 3.5
 
     @property
     def intrinsics(self) -> Intrinsics:
@@ -81,17 +73,6 @@ class RayCamera:
         self._length = np.linalg.norm(ray, axis=-1)
         eye = np.broadcast_to(self.T_world_camera[:3, 3], ray.shape)
         self._cast = np.concatenate([eye, ray], axis=-1).astype(np.float32)
-
-    def observe(self, exact: Rendered, random: np.random.Generator) -> npt.NDArray[np.uint16]:
-        """Depth (H, W) that the camera reports, in units of `unit_m`, 0 for missing points: noise along the view,
-        steps, and points missing at random and at grazing angles."""
-        config = self.config
-        depth = np.nan_to_num(exact.depth_m, nan=0.0)
-        measured = (depth > 0.0) & (np.abs(exact.facing) >= np.sin(np.deg2rad(config.grazing_deg)))
-        measured &= random.random(depth.shape) >= config.missing
-        depth = depth + random.standard_normal(depth.shape) * (config.noise_m + config.noise_per_m * depth**2)
-        measured &= depth <= config.far_m
-        return np.where(measured, np.clip(np.rint(depth / config.unit_m), 1, 65535), 0).astype(np.uint16)
 
     def points_m(self, depth_m: FloatArray) -> FloatArray:
         """(H, W, 3) places in the world of depths (H, W) along the view [m]."""

@@ -23,6 +23,7 @@ from deformscope.stages.squeeze.events import SqueezeEvents
 from deformscope.stages.squeeze.patch import SIDE_PX, filled
 from deformscope.stages.squeeze.track import PoseEstimate
 from deformscope.stages.squeeze.trial import SqueezeFeatures
+from studies.kinect import NOISE_PER_M
 from studies.reproduce.container_trials import SqueezedTrial, SqueezeJob, squeeze_trial
 
 T = TypeVar("T")
@@ -221,7 +222,7 @@ def _depth_errors(trial: SqueezedTrial, found: TrialFeatures, simulated: Simulat
         for model in (ContainerModel(*view.mesh(simulated.inward_m[at])), container_model(trial.geometry.container))
     )
     numbers = depth_errors(features, wall - rigid)
-    noise_m = view.config.noise_m + view.config.noise_per_m * float(np.nanmedian(wall)) ** 2
+    noise_m = NOISE_PER_M * float(np.nanmedian(wall)) ** 2
     return numbers | {"noise_mm": 1e3 * noise_m}
 
 

@@ -36,6 +36,7 @@ from deformscope.stages.poke.contact import ArmCompliance
 from deformscope.stages.regions.touches import MapGrid
 from deformscope.stages.see.cloud import Intrinsics, perceive
 from deformscope.stages.see.robot import PosedRobot
+from studies.kinect import observed_m
 from studies.map_score import TrueMap
 from studies.reproduce.touch_clock import TouchClock
 from studies.touching import Approach, Sensing, approach, force_curve
@@ -184,7 +185,7 @@ class LabRobot:
 
     def _see(self, moved_m: FloatArray | None, robot: tuple[Capsule, ...]) -> SurfaceMeasurement:
         exact = self._view.render(moved_m, robot)
-        depth_m = self._view.observe(exact, self._random) * self._view.config.unit_m
+        depth_m = observed_m(exact, self._random)
         seen_by = self._view.intrinsics
         camera = Intrinsics((seen_by.fx_px, seen_by.fy_px), (seen_by.cx_px, seen_by.cy_px))
         box = sample_box(self.size_m, self._options.thickness_m)

@@ -1,7 +1,5 @@
 """The depth camera: known planes to the pixel, steps, noise, what is missing, and what a robot hides."""
 
-import dataclasses
-
 import numpy as np
 import open3d as o3d
 import pytest
@@ -153,50 +151,6 @@ def test_the_nearer_of_two_is_seen(view: DepthView) -> None:
     both = view.render(None, CAPSULES[:2]).depth_m
     one, other = (view.render(None, [capsule]).depth_m for capsule in CAPSULES[:2])
     np.testing.assert_array_equal(both, np.fmin(one, other))
-
-
-def test_depth_comes_in_millimetres_and_zero_says_nothing(view: DepthView) -> None:
-    exact = view.render(None, CAPSULES[:1])
-    silent = dataclasses.replace(SMALL, noise_per_m=0.0, missing=0.0, grazing_deg=0.0)
-    depth = DepthView(FLAT, silent).observe(exact, np.random.default_rng(0))
-    assert depth.dtype == np.uint16
-    seen = exact.seen != NOTHING
-    assert (depth[~seen] == 0).all()
-    np.testing.assert_allclose(depth[seen] * 1e-3, exact.depth_m[seen], atol=0.5e-3 + 1e-12)
-
-
-def test_noise_grows_with_the_square_of_the_distance(view: DepthView) -> None:
-    """A first Kinect's: 1.425 mm at 1 m."""
-    exact = view.render()
-    random = np.random.default_rng(0)
-    depth = np.stack([view.observe(exact, random) for _ in range(60)]).astype(np.float64)
-    depth[depth == 0] = np.nan
-    always = exact.facing < -0.3
-    error = depth[:, always] * 1e-3 - exact.depth_m[always]
-    for low, high in ((0.6, 0.7), (0.8, 0.9), (1.1, 1.3)):
-        some = (exact.depth_m[always] > low) & (exact.depth_m[always] < high)
-        expected = np.sqrt(np.mean((1.425e-3 * exact.depth_m[always][some] ** 2) ** 2) + 1e-6 / 12)
-        assert np.sqrt(np.nanmean(error[:, some] ** 2)) == pytest.approx(expected, rel=0.02)
-    assert abs(np.nanmean(error)) < 2e-5
-
-
-def test_some_points_are_missing_and_flat_views_tell_nothing(view: DepthView) -> None:
-    other = DepthView(FLAT, dataclasses.replace(SMALL, missing=0.05, grazing_deg=30.0))
-    exact = other.render()
-    depth = other.observe(exact, np.random.default_rng(1))
-    flat = (exact.seen != NOTHING) & (np.abs(exact.facing) < np.sin(np.deg2rad(30.0)))
-    assert flat.sum() > 1000
-    assert not depth[flat].any()
-    rest = (exact.seen != NOTHING) & ~flat
-    assert (depth[rest] == 0).mean() == pytest.approx(0.05, abs=0.005)
-
-
-def test_the_same_seed_gives_the_same_picture(view: DepthView) -> None:
-    exact = view.render()
-    again = DepthView(FLAT, SMALL)
-    one = view.observe(exact, np.random.default_rng(7))
-    np.testing.assert_array_equal(one, again.observe(again.render(), np.random.default_rng(7)))
-    assert (one != view.observe(exact, np.random.default_rng(8))).any()
 
 
 def test_colour_gives_no_region_away(view: DepthView) -> None:

@@ -11,6 +11,7 @@ from deformscope.lab.container_view import ContainerView
 from deformscope.lab.ray_camera import DepthViewConfig, looking_at
 from deformscope.stages.see.cloud import Intrinsics, back_project
 from deformscope.stages.squeeze.find import ContainerHidden, compare, find_container, matches
+from studies.kinect import NOISE_PER_M, observed_m
 from tests.cases import slow
 
 CAMERA = looking_at(np.array([0.0, 0.0, 0.08]), 1.0, 35.0, -70.0)
@@ -25,12 +26,12 @@ def pose(x_m: float, y_m: float, yaw_deg: float, shape: ContainerShape) -> Float
 
 def points(shape: ContainerShape, T: FloatArray, seed: int, noise: float = 1.0) -> FloatArray:
     """What a camera 1 m away makes of it: three images' median, with `noise` times a Kinect's."""
-    config = DepthViewConfig(noise_per_m=1.425e-3 * noise)
+    config = DepthViewConfig()
     shell = shell_of(shape)
     view = ContainerView(shape, (shell.s_m, shell.z_m), pose(0.0, 0.0, 0.0, shape), config, CAMERA)
     exact = view.render(np.zeros((len(shell.s_m), len(shell.z_m))), T, np.zeros(7), ())
     random = np.random.default_rng(seed)
-    depth = np.median([view.observe(exact, random) for _ in range(3)], axis=0) * config.unit_m
+    depth = np.median([observed_m(exact, random, noise * NOISE_PER_M) for _ in range(3)], axis=0)
     lens = view.intrinsics
     return back_project(depth, Intrinsics((lens.fx_px, lens.fy_px), (lens.cx_px, lens.cy_px)), CAMERA)
 
