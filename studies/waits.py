@@ -77,7 +77,7 @@ class WaitsOptions(StudyOptions):
 
 @dataclass(frozen=True, slots=True)
 class WaitCase:
-    """Lines to time. build: checkout whose code runs; named: what they belong to; size: of what grows"""
+    """Lines to time. build: checkout whose code runs; named: their case; size: amount of what grows"""
 
     build: str
     named: Part
