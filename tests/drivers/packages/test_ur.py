@@ -1,9 +1,11 @@
 """Universal Robots: the driver against its double, in memory on a simulated clock, and behind sockets."""
 
 import contextlib
+import dataclasses
 import math
 import socket
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from deformscope_ur.config import CHAINS
 from deformscope_ur.device import SILENCE_S, control_script
 from scipy.spatial.transform import Rotation
 
+from deformscope.lab.arms import arm_in_lab
 from deformscope.rig.rig_file import load_rig
 from deformscope_drivers.arm import JointVelocity, MotionStopped
 from deformscope_drivers.arm.kinematics import FloatArray, pose_error
@@ -20,9 +23,12 @@ from deformscope_drivers.contract import DeviceContract
 from deformscope_drivers.contract.devices import wait_until
 from deformscope_drivers.errors import CommandRefused, DeviceError, NotConnected, SettingsRefused
 from deformscope_drivers.health import Link
-from deformscope_drivers.interface import DeviceDriver
+from deformscope_drivers.interface import DRIVERS, ArmInLab, DeviceDriver
 from deformscope_drivers.memory import SimulatedClock
 from deformscope_drivers.wires import LOOPBACK, PortsWire
+from studies import rigid_faults
+from studies.rigid_faults import CASES, FELT, SensorFault
+from tests.cases import slow_but
 from tests.drivers.arm.contract import ArmBench, ArmContract
 from tests.drivers.arm.test_contract import polled
 from tests.drivers.packages.ur_faults import BEFORE, FAULTS, run_fault
@@ -388,3 +394,34 @@ def test_the_script_has_no_place_left_open() -> None:
     assert rtde.ROBOT_MODES[7] == "RUNNING"
     assert rtde.SAFETY[9] == "a safety fault"
     assert rtde.SAFETY[11] == "its three-position switch"
+
+
+# A rigid surface under a force sensor that is wrong (studies/rigid_faults.py), with this arm ---------------------
+
+
+@pytest.mark.parametrize("fault", slow_but([SensorFault.DEAD, SensorFault.SCALE], [*FELT, SensorFault.FROZEN]))
+def test_a_wrong_force_sensor_is_refused_or_stops_the_arm(fault: SensorFault, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(DRIVERS._loaded, "ur", dataclasses.replace(DRIVER, name="ur"))
+
+    def with_ur(driver: str, config: object, *more: Any) -> ArmInLab:
+        return arm_in_lab("ur", UrConfig(), *more)
+
+    monkeypatch.setattr(rigid_faults, "arm_in_lab", with_ur)
+    found = rigid_faults.run_rigid(CASES.index(("kuka with motor currents", fault, 2e4, None)))
+    assert found.in_time, found
+    assert found.refused or found.ended.startswith("stopped: ")
+
+
+def test_it_is_an_arm_of_the_laboratory() -> None:
+    clock = SimulatedClock(1_000_000_000)
+    assert DRIVER.in_lab is not None
+    made = DRIVER.in_lab(UrConfig(), CHAINS["ur5e"].home_deg + 5.0, clock)
+    with made.arm.open(own_thread=False) as arm:
+        made.body.push([0.0, 0.0, 20.0, 0.0, 0.0, 0.0])
+        states = []
+        with arm.readings() as queue:
+            polled(arm, clock)(0.5)
+            states = queue.take()
+        np.testing.assert_allclose(made.body.T_base_end_effector, states[-1].T_base_end_effector, atol=1e-9)
+        assert np.mean([state.wrench[2] for state in states]) == pytest.approx(20.0, abs=2.0)
+        assert len(states[-1].currents) == 6
