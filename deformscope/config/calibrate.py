@@ -93,7 +93,7 @@ class PushFlags(Flags):
     """Uncertainty of the force, such as 2g or 0.05N. Default: 2 % of it and a kitchen scale's 1 g."""
     scale_sd: Annotated[float, flags.SHARE] = 0.01
     """Uncertainty of the picture's scale, as a share; 0.01 is 1 mm in 10 cm."""
-    thickness_m: flags.PositiveFlag = None
+    thickness_m: flags.LengthFlag = None
     """Images with a force: thickness of the body along the camera's view [m]. Pokes of a surface (pair files): that of
     the material below it, which rests on the ground; all pokes are then fitted together with layers of it."""
     thickness_sd: Annotated[float, flags.SHARE] = 0.02

@@ -308,6 +308,9 @@ _span = one_word("LOWEST,HIGHEST", numbers("LOWEST,HIGHEST", "0,0.99"), joined("
 SpanFlag = Annotated[Span, _span, RISING, within(1.0)]
 BetaSpanFlag = Annotated[Span, _span, RISING, within(BETA_LIMIT)]
 PositiveFlag = Annotated[float | None, one_word("NUMBER", positive), unset]
+LengthFlag = Annotated[
+    float | None, one_word("NUMBER", positive), unset, Rule(lambda m: m is None or m < 1.0, "a {flag} below 1 m")
+]
 SizesFlag = Annotated[tuple[int, ...] | None, one_word("N,N...", parse_sizes, joined(",")), unset]
 CasesFlag = Annotated[tuple[Case, ...] | None, one_word("CASE,CASE...", some_of(CASES), joined(",")), unset]
 CountFlag = Annotated[int | None, one_word("INT", int), unset]

@@ -67,7 +67,7 @@ class IndentConfig(RecordedOptions):
     --map, whatever `deformscope import` reads."""
     tip: Annotated[TipText, flags.one_word("KIND:SIZE", parse_tip)]
     """sphere:DIAMETER, disc:DIAMETER or flat:AxB in metres, or cone:HALF_ANGLE in degrees."""
-    thickness_m: flags.PositiveFlag = None
+    thickness_m: flags.LengthFlag = None
     """Thickness of the sample, which lies on rigid ground [m]; default: as thick as a half-space."""
     bonded: bool = False
     """The sample is fixed to its ground."""
@@ -75,7 +75,7 @@ class IndentConfig(RecordedOptions):
     """The sample slides on its ground without friction."""
     poisson: Annotated[flags.Span, flags.one_word("NU|LOW,HIGH", parse_poisson, flags.joined(","))] = (0.0, 0.5)
     """Poisson's ratio, or its range: its share of the interval."""
-    width_m: flags.PositiveFlag = None
+    width_m: flags.LengthFlag = None
     """Smallest width of the sample [m]; default: its sides are far away."""
     machine_n_per_mm: flags.PositiveFlag = None
     """Stiffness of the machine, of an arm or a cantilever, which is taken out of the depth; default: rigid."""

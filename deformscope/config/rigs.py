@@ -326,7 +326,7 @@ class CertifyConfig(RecordedOptions):
     """A silicone by name (ecoflex-00-30; an unknown name lists them), or the JSON of `deformscope indent`."""
     touches: flags.ManyFlag = 6
     """Number of touches, each at another place."""
-    thickness_m: flags.PositiveFlag = None
+    thickness_m: flags.LengthFlag = None
     """Thickness of the sample [m]; default: as in the JSON, else as in the rig file."""
     sliding: bool = False
     """The sample slides on its ground; default: as in the JSON, else it is fixed."""

@@ -201,7 +201,7 @@ def known_sample(config: "CertifyConfig", opening: Opening) -> KnownSample:
         tip,
         thickness_m,
         ground,
-        (float(lies["poisson"][0]), float(lies["poisson"][1])),
+        (lies["poisson"][0], lies["poisson"][1]),
         width_m=min(setup.size_m),
         machine_n_per_mm=1e-3 / give if give > 0.0 else None,
         machine_sd=setup.compliance_sd / give if give > 0.0 else 0.0,
@@ -214,11 +214,13 @@ def _of_file(path: Path) -> tuple[str, float, float, dict[str, Any]]:
     expected = "the JSON of deformscope indent, with a modulus in its interval"
     with contextlib.suppress(ValueError, KeyError, TypeError, IndexError):
         given = json.loads(read_file(path, expected))
-        found = given["together"] or given["curves"][0]
+        found, lies = given["together"] or given["curves"][0], given["settings"]
         modulus_pa, (low, high) = found["modulus_pa"], found["modulus_interval_pa"]
-        if 0.0 < low <= modulus_pa <= high < 1e12 and len(given["settings"]["poisson"]) == 2:
+        known, thickness_m = (float(lies["poisson"][0]), float(lies["poisson"][1])), lies.get("thickness_m")
+        if 0.0 < low <= modulus_pa <= high < 1e12 and -1.0 < known[0] <= known[1] <= 0.5:
             sd = float(np.log(high / low)) / 2.0 / Z_90
-            return f"{path.name}, {modulus_pa / 1e3:.4g} kPa", modulus_pa, sd, given["settings"]
+            lies = {**lies, "poisson": known, "thickness_m": thickness_m and float(thickness_m)}
+            return f"{path.name}, {modulus_pa / 1e3:.4g} kPa", modulus_pa, sd, lies
     raise InputError(expected, "another file", "deformscope indent ... --json FILE.json", path)
 
 

@@ -95,8 +95,9 @@ def _of_table(reader: Reader, topic: str, push: PushFlags, path: Path) -> PressF
 
 
 def unit_of(name: str, said: str) -> str:
-    """The unit of a column: what the table says, else the end of its name (`time_s`, `depth_mm`, `weight_g`)."""
-    end = name.partition("#")[0].rpartition("_")[2] if "_" in name else ""
+    """The unit of a column: what the table says, else the end of its name (`time_s`, `depth_mm`, `force [N]`)."""
+    ends = re.split(r"[_(\[]", name.partition("#")[0])[1:]
+    end = ends[-1].strip(" )]") if ends else ""
     return said or next((one for one in (*UNITS, *SI, *TIME_NS) if end in (one, one.lower())), "")
 
 

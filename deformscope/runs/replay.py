@@ -49,8 +49,7 @@ def replay_on(config: ReplayConfig, progress: Progress | None = None) -> ReplayR
         raise InputError("--set with a recorded exploration", "a recording of another kind", where=config.recording)
     if "rig" in settings:
         return _replay_rig(recording)
-    again = _material if "material" in settings else _curves if "indented" in settings else _fits
-    recorded, found = again(recording, config, progress)
+    recorded, found = (_one if settings.keys() & {"material", "indented"} else _fits)(recording, config, progress)
     every = [one.to_dict() for one in found]
     result = ReplayResult(every[0] if len(every) == 1 else every, tuple(found), CUT_SHORT)
     if not recorded:
@@ -75,22 +74,16 @@ def _frames(recording: Replay, config: ReplayConfig) -> "Source":
     )
 
 
-def _material(
-    recording: Replay, config: ReplayConfig, progress: Progress | None
-) -> tuple[Sequence[Any], Sequence[Any]]:
-    """Results of a material, as recorded and computed again."""
+def _one(recording: Replay, config: ReplayConfig, progress: Progress | None) -> tuple[Sequence[Any], Sequence[Any]]:
+    """The result of a material or of curves, as recorded and computed again."""
+    from deformscope.runs.indentation import replay_indent
     from deformscope.runs.materials import replay_material
 
-    recorded, found = replay_material(recording, _frames(recording, config), config.output, progress=progress)
-    return recorded[:1], [found]
-
-
-def _curves(recording: Replay, config: ReplayConfig, progress: Progress | None) -> tuple[Sequence[Any], Sequence[Any]]:
-    """Moduli by curves, as recorded and computed again."""
-    from deformscope.runs.indentation import replay_indent
-
-    recorded, found = replay_indent(recording, config.output)
-    return recorded, [found]
+    if "indented" in recording.settings:
+        recorded, curves = replay_indent(recording, config.output)
+        return recorded, [curves]
+    before, found = replay_material(recording, _frames(recording, config), config.output, progress=progress)
+    return before[:1], [found]
 
 
 def _fits(recording: Replay, config: ReplayConfig, progress: Progress | None) -> tuple[Sequence[Any], Sequence[Any]]:

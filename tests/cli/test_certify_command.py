@@ -9,11 +9,13 @@ import pytest
 
 import deformscope as ds
 from deformscope.cli import main
+from deformscope.config import CertifyConfig
 from deformscope.lab.scenes import built_in
 from deformscope.lab.session_errors import LabErrors
 from deformscope.recording.reader import Replay
 from deformscope.rig.rig_file import load_rig, parse_rig
 from deformscope.rig.sections import CertificateSection
+from deformscope.runs.arm_calibration import known_sample, opening_of
 from tests.cases import Capture, Patch, one_line
 from tests.cli.quick_scene import use_quick_scene
 from tests.cli.rig_on_a_simulated_clock import use_a_simulated_clock
@@ -158,6 +160,8 @@ def test_doctor_says_when_a_certificate_is_old_or_of_another_tip(
         (["--sample", "ecoflex-00-31"], "try: ecoflex-00-30"),
         (["--sample", "none.json"], "the JSON of deformscope indent"),
         (["--sample", "rig.json"], "the JSON of deformscope indent"),
+        (["--sample", "text.json"], "the JSON of deformscope indent"),
+        (["--sample", "lab-block", "--thickness-m", "50"], "a --thickness-m below 1 m"),
         (["--sample", "lab-block", "--save"], "a rig file, to --save into"),
         (["--sample", "ecoflex-00-10-thinner-50", "--thickness-m", "0.002"], "a firmer or a thicker one"),
         (["--sample", "lab-block", "--touches", "0"], "--touches"),
@@ -167,6 +171,8 @@ def test_what_cannot_be_used_is_refused_in_one_line(
     arguments: list[str], says: str, rig: Path, capsys: Capture
 ) -> None:
     Path("rig.json").write_text('{"together": null, "curves": [{"modulus_pa": -3}], "settings": {}}')
+    text = '{"curves": [{"modulus_pa": 3, "modulus_interval_pa": [2, 4]}], "together": null, "settings": %s}'
+    Path("text.json").write_text(text % '{"poisson": [0.3, 0.5], "thickness_m": "thick"}')
     assert main(["certify", "lab:block-162", *arguments]) == 2
     assert says in one_line(capsys)
 
@@ -186,15 +192,21 @@ def test_a_certificate_that_is_none_is_refused(line: str, says: str, rig: Path, 
     assert says.split(" ")[0] in one_line(capsys)
 
 
+@pytest.mark.parametrize(
+    ("name", "kpa", "sd"), [("ecoflex-00-50-thinner-12.5", 111.1, 6.44), ("ecoflex-00-10-thinner-100", 5.42, 0.77)]
+)
+def test_a_named_sample_has_its_modulus(name: str, kpa: float, sd: float) -> None:
+    config = CertifyConfig.of(rig="lab:block-162", sample=name)
+    known = known_sample(config, opening_of(config))
+    assert (known.name, known.modulus_pa, known.modulus_sd) == (name, pytest.approx(1e3 * kpa), pytest.approx(sd / kpa))
+
+
 def test_the_block_is_listed(capsys: Capture) -> None:
     assert main(["explore", "--list-scenarios"]) == 0
     assert "lab:block-162              hardness 0.98 to 1.02" in capsys.readouterr().out
 
 
 def test_a_sample_may_be_the_result_of_indent(tmp_path: Path, monkeypatch: Patch) -> None:
-    from deformscope.config import CertifyConfig
-    from deformscope.runs.arm_calibration import known_sample, opening_of
-
     monkeypatch.chdir(tmp_path)
     time = np.arange(0, 12, 0.02)
     depth_mm = 3 - np.abs(time - 6) / 2

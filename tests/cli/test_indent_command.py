@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 import deformscope as ds
@@ -284,6 +286,34 @@ def test_what_is_missing_is_asked_for_in_one_line(
     said = capsys.readouterr().err
     assert words in said
     assert len(said.splitlines()) <= 5
+
+
+def test_what_is_no_poke_of_this_tip_is_refused_in_one_line(tmp_path: Path, capsys: Capture) -> None:
+    time, z, force = curve()
+    twice = np.append(time, time + 9.0), np.append(z, z), np.append(force, 3.0 * force)
+    cases: list[tuple[tuple[FloatArray, ...], list[str], str]] = [
+        (twice, [], "expected one poke in a curve; got 2 | try: a file of each, with its tip"),
+        ((time, z, 0.0 * force), [], "a depth and a force that change"),
+        ((time, 0.0 * z, force), [], "a depth and a force that change"),
+        ((time[:400], z[400:], force[400:]), [], "try: the way in too, with air before it"),
+        ((time, z, -force), [], "try: a minus before the column (--force-column=-NAME)"),
+        ((time, z, force), ["--machine-n-per-mm", "0.01"], "a machine stiffer than the curve; got 0.01 N/mm"),
+        ((time, z, force), ["--thickness-m", "10", "--bonded"], "expected a --thickness-m below 1 m; got 10"),
+    ]
+    for columns, flags, words in cases:
+        path = write(tmp_path / "curve.csv", "time [s],depth [m],force [N]", *columns)
+        assert main(["indent", str(path), *SPHERE, *flags]) == 2
+        said = capsys.readouterr().err
+        assert words in said
+        assert len(said.splitlines()) == 1
+
+
+def test_columns_of_a_parquet_table_have_their_units_in_their_names(tmp_path: Path, capsys: Capture) -> None:
+    time, z, force = curve()
+    named = {"time [s]": time, "depth (mm)": 1e3 * z, "force [N]": force}
+    pq.write_table(pa.table(named), tmp_path / "curve.parquet")
+    result = found([str(tmp_path / "curve.parquet"), *SPHERE], capsys)["curves"][0]
+    assert result["modulus_pa"] == pytest.approx(YOUNG, rel=0.02)
 
 
 @pytest.mark.parametrize("tip", ["sphere", "sphere:20", "flat:0.01", "cone:95", "wedge:0.1", "sphere:-1"])

@@ -37,8 +37,8 @@ OFF_SHARE, MOST_OFF, SURE = 0.1, 2, 0.8
 LOSS_SD, PLACES_SD, REPEATS_M = 0.05, 0.003, 2e-5
 """Deviations of the log dent on the way back over that on the way in, and of log modulus from place to place, of
 silicones; least scatter of an arm along its way [m] [assumed]."""
-UNEVEN = 0.1
-"""Scatter between touches from which a sample is not of one modulus."""
+UNEVEN, MOST_TIMES = 0.1, 3.0
+"""Scatter between touches from which a sample is not of one modulus; ratio of a reading from which it is another."""
 LEAST, CHUNKS, AROUND, ROUNDS, DRAWS, POINTS, TIP_STEP = 0.05, 16, 10, 6, 4000, 300, 0.4
 """Share of the peak from which samples are used; means of each way; samples around one that its speed is taken from."""
 
@@ -181,6 +181,9 @@ def certify_rig(curves: Sequence[IndentCurve], known: KnownSample, tolerance: Se
     that are not off. Raises the errors of `fit_indentation`, and InputError for touches that disagree."""
     estimates = [fit_indentation(one, known.lies, creep=False) for one in curves]
     read = combine(estimates)
+    if abs(np.log(read.modulus_pa / known.modulus_pa)) > np.log(MOST_TIMES) + 2.0 * known.modulus_sd:
+        expected = f"a reading within {MOST_TIMES:g} times of the sample's {known.modulus_pa / 1e3:.3g} kPa"
+        raise InputError(expected, f"{read.modulus_pa / 1e3:.3g} kPa", "the sample's name, the tip's radius")
     if read.scatter > UNEVEN:
         came, hint = f"touches that differ by {read.scatter:.0%}", "a sample of one material, away from its sides"
         raise InputError(f"a sample whose touches agree within {UNEVEN:.0%}", came, hint)

@@ -54,9 +54,10 @@ PLATEAU = 1.15
 """Depth over that at which the law has the largest force, from which a curve has a plateau."""
 POISSONS, DRAWS = 5, 4000
 """Values of Poisson's ratio, where it is a range; draws of an interval."""
-HELD, LONG, BEGUN, CREEPS = 0.01, 0.1, 0.02, 0.3
-"""Share of depth or force within which a tip holds; least duration of a hold over that of the loading; share of the
-peak below which the tip is taken to be free; largest speed of a tip that holds over that of the loading."""
+HELD, LONG, BEGUN, POKED, CREEPS = 0.01, 0.1, 0.02, 0.3, 0.3
+"""Share of depth or force within which a tip holds; least duration of a hold over that of the loading; shares of the
+peak below which the tip is taken to be free, and beyond which it pokes; largest speed of a tip that holds over that of
+the loading."""
 RISES = 0.2
 """Rate of the first samples over the loading's mean rate, from which they are in contact."""
 NAMED, DRIFT_SD = 0.02, 0.01
@@ -214,9 +215,16 @@ class SplitCurve:
             expected, came = f"a force well above its noise of {self.noise_n:.2g} N", f"{self.peak_n:.2g} N at most"
             raise InputError(expected, came, "a curve that touches the sample", curve.name)
         self._split(smooth)
+        pressed = smooth > max(POKED * self.peak_n, 4.0 * self.noise_n)
+        known = pressed | (smooth < max(BEGUN * self.peak_n, 3.0 * self.noise_n))
+        if (pokes := int((np.diff(pressed[known].astype(np.int64), prepend=0) > 0).sum())) > 1:
+            raise InputError("one poke in a curve", f"{pokes}", "a file of each, with its tip", curve.name)
         self.rate_n_per_s: float | None = None
         self.drift_n, self.drift_sd_n = self._drift()
         self.depth_m = self.given_m - self.softness * self.force_n
+        if sample.machine_n_per_mm is not None and self.depth_m[self.loaded - 1] <= self.depth_m[self.began]:
+            expected, came = "a machine stiffer than the curve", f"{sample.machine_n_per_mm:.3g} N/mm"
+            raise InputError(expected, came, "--machine-n-per-mm of the machine alone", curve.name)
         self.travel_m = float(np.ptp(self.depth_m[self.began : self.held]))
         # a curve that begins in contact is low there without a pull
         pull = -float(min(smooth[min(AIR, self.began) : self.loaded].min(), smooth[self.held - 1 :].min()))
@@ -550,6 +558,8 @@ def _checked(curve: IndentCurve) -> tuple[FloatArray, FloatArray, FloatArray | N
     if good.sum() < FEWEST:
         raise InputError(f"{FEWEST} samples or more", f"{good.sum()}", where=curve.name)
     depth_m, force_n = depth_m[good], force_n[good]
+    if not (np.ptp(depth_m) > 0.0 and np.ptp(force_n) > 0.0):
+        raise InputError("a depth and a force that change", "a constant one", where=curve.name)
     few = max(AIR, len(force_n) // 20)
     first, last = np.array_split(force_n[:few], 3), float(np.median(force_n[-few:]))
     zero, began, ended = (float(np.median(part)) for part in (force_n[:few], first[0], first[-1]))
@@ -559,6 +569,8 @@ def _checked(curve: IndentCurve) -> tuple[FloatArray, FloatArray, FloatArray | N
     smooth = smoothed(force_n)
     if -smooth.min() > 2.0 * smooth.max():
         came, hint = f"{smooth.min():.3g} N", "a minus before the column (--force-column=-NAME)"
+        if depth_m[int(np.argmin(smooth))] < depth_m[0]:
+            hint = "the way in too, with air before it"
         raise InputError("a force above 0 where the tip presses", came, hint, curve.name)
     if depth_m[int(np.argmax(smooth))] <= depth_m[0]:
         came, hint = "one that falls as the force rises", "a minus before the column (--depth-column=-NAME)"
