@@ -26,6 +26,7 @@ from deformscope.stages.fit.calibrate import FitOptions, Model, Observation
 from deformscope.stages.fit.estimate import DoubtCode, Parameter, Verdict
 from studies.field_bodies import SPACING_M
 from studies.independent.observed import Errors, Pushed, pushed_clusters
+from studies.independent.oracle import widths
 from studies.quantities import Quantity, Rate, Row, band, by, counts, number, rows, share, table
 from studies.random_bodies import (
     BOUNDS,
@@ -108,8 +109,19 @@ OTHER_SOLVER: dict[str, Errors] = {
     "Matern noise over 3 cells": Errors(cells=3.0, smooth=1.5),
     "Gaussian noise over 3 cells": Errors(cells=3.0),
     "Gaussian noise over 3 cells, held exact and told": Errors(cells=3.0, held=False, told=True),
+    "pressed, white": Errors(pressed=True),
+    "pressed, Gaussian noise over 3 cells": Errors(cells=3.0, pressed=True),
+    "pressed, tool off by .5 mm": Errors("along", 5e-4, pressed=True),
+    "pressed, tool off by 1.7 mm": Errors("along", 1.7e-3, pressed=True),
+    "pressed, scale 1 % too large": Errors(camera="scale", camera_size=0.01, pressed=True, sign=1),
+    "pressed, scale 1 % too small": Errors(camera="scale", camera_size=0.01, pressed=True, sign=-1),
+    "pressed, scale .5 % too large": Errors(camera="scale", camera_size=0.005, pressed=True, sign=1),
+    "pressed, linear drift of 1 mm": Errors(camera="drift", camera_size=1e-3, pressed=True),
 }
 """Errors of bodies of another solver; by name."""
+
+TOOL_OFF = 0.04
+"""Deviation of the tool for which one of the oracles allows [spacings]."""
 
 OTHER = "other solver: "
 NAMES = (*DISTURBED, *(OTHER + name for name in OTHER_SOLVER))
@@ -130,12 +142,14 @@ class DisturbedCase:
 @dataclass(frozen=True, slots=True)
 class DisturbedOutcome:
     """Result of one object. disturbed, found: particles with a wrong or lost track or a wrong held position, and those
-    that were left out; both: how many are in both"""
+    that were left out; both: how many are in both; oracle: widths of `studies.independent.oracle`, of a right tool
+    and of one that may be off by `TOOL_OFF`"""
 
     outcome: Outcome
     disturbed: int = 0
     found: int = 0
     both: int = 0
+    oracle: tuple[float, ...] = ()
 
 
 def try_disturbed(case: DisturbedCase) -> DisturbedOutcome:
@@ -145,7 +159,9 @@ def try_disturbed(case: DisturbedCase) -> DisturbedOutcome:
         errors = OTHER_SOLVER[case.name.removeprefix(OTHER)]
         body = pushed_clusters(rng, errors, random_dim(case.number))
         options = FitOptions(Model(cluster_size=body.clusters), BOUNDS, candidates=CANDIDATES, level=case.level)
-        return DisturbedOutcome(fitted(case.name, body.beta, [observed(body, errors)], options)[0])
+        outcome = fitted(case.name, body.beta, [observed(body, errors)], options)[0]
+        right = errors.pressed and errors.tool == errors.camera == "none"
+        return DisturbedOutcome(outcome, oracle=widths(body, errors, (0.0, TOOL_OFF), case.level) if right else ())
     what = DISTURBED[case.name]
     lattice = random_body(rng, random_dim(case.number))
     bounds = BOUNDS if case.parameter == "beta" else (0.0, 1.0)
@@ -159,8 +175,8 @@ def try_disturbed(case: DisturbedCase) -> DisturbedOutcome:
     left_out = np.zeros(len(lattice.rest), dtype=bool)
     for one in found.left_out:
         left_out[np.concatenate([one.lost, one.wrong, one.held])] = True
-    counts = (int(np.count_nonzero(one)) for one in (drawn.bad, left_out, drawn.bad & left_out))
-    return DisturbedOutcome(outcome, *counts)
+    disturbed, left, both = (int(np.count_nonzero(one)) for one in (drawn.bad, left_out, drawn.bad & left_out))
+    return DisturbedOutcome(outcome, disturbed, left, both)
 
 
 def observed(body: Pushed, errors: Errors) -> Observation:
@@ -260,6 +276,12 @@ def _covered(some: Sequence[DisturbedOutcome], dim: int | None = None) -> Rate:
     return Rate.of(one.covered for one in _fits(some) if dim in (None, one.dim))
 
 
+def _over_oracle(some: Sequence[DisturbedOutcome]) -> list[float]:
+    """Median widths in units of each oracle's; empty where none was computed."""
+    each = [float(np.ptp(one.outcome.interval)) / np.array(one.oracle) for one in some if one.oracle]
+    return [float(one) for one in np.median(each, axis=0)] if each else []
+
+
 def _called(verdict: Verdict) -> Callable[[Sequence[DisturbedOutcome]], Rate]:
     return lambda some: Rate.of(one.verdict == verdict for one in _fits(some))
 
@@ -293,6 +315,11 @@ QUANTITIES: tuple[Quantity[Sequence[DisturbedOutcome]], ...] = (
         "rms",
         lambda some: float(np.sqrt(np.mean([(one.value - one.beta) ** 2 for one in _fits(some)]))),
         {"rms difference": number(3)},
+    ),
+    Quantity(
+        "over_oracle",
+        _over_oracle,
+        {"times the oracle's, tool right / may be off": lambda each: " / ".join(f"{one:.2f}" for one in each)},
     ),
     Quantity("identified", _called("identified"), {"identified": share(2)}),
     Quantity("unidentified", _called("unidentified"), {"unidentified": share(2)}),

@@ -31,7 +31,9 @@ class Errors:
     camera: what is wrong with all deformed positions: scale off by a share `camera_size`, of both axes or one; drift,
     largest at one end [m]; lens: radial, or a wave as long as the body, at most this [m]
     cells: over how many spacings neighbours share noise, 0 for none; smooth: nu of the Matern kernel, inf for Gaussian
-    held: whether held positions have noise too; told: whether that is stated"""
+    held: whether held positions have noise too; told: whether that is stated
+    pressed: the tool presses into the body, by .4 to 1.5 spacings, instead of any way; sign: of the camera's error, 0
+    for either"""
 
     tool: ToolError = "none"
     tool_size: float = 0.0
@@ -41,6 +43,8 @@ class Errors:
     smooth: float = np.inf
     held: bool = True
     told: bool = False
+    pressed: bool = False
+    sign: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +77,8 @@ def pushed_clusters(rng: np.random.Generator, errors: Errors, dim: int) -> Pushe
     reach = CELL * rng.uniform(0.5, 2.0)
     tool = far[np.linalg.norm(rest[far] - rest[rng.choice(far)], axis=1) <= reach]
     push = rng.normal(0.0, CELL * rng.uniform(0.4, 1.2), dim)
+    if errors.pressed:
+        push = CELL * np.concatenate([[-rng.uniform(0.4, 1.5)], rng.normal(0.0, 0.2, dim - 1)])
     held, beta = np.concatenate([near, tool]), float(rng.uniform(0.0, BETA_MOST))
     place = rest[held] + np.where(np.isin(held, tool)[:, None], push, 0.0)
     true = shape_matching.static_state(rest, shape_matching.windows(shape, size), beta, held, place)
@@ -122,15 +128,20 @@ def with_errors(
 def field(rng: np.random.Generator, rest: Floats, cells: float, smooth: float) -> Floats:
     """(K, d) noise of unit variance, white or of a Matern kernel of this length and nu."""
     white = rng.standard_normal(rest.shape)
+    return white if cells <= 0.0 else np.asarray(cholesky(covariance(rest, cells, smooth), lower=True) @ white)
+
+
+def covariance(rest: Floats, cells: float, smooth: float) -> Floats:
+    """(K, K) covariance of a coordinate of `field`."""
     if cells <= 0.0:
-        return white
+        return np.eye(len(rest))
     apart = cdist(rest, rest) / (CELL * cells)
     if np.isinf(smooth):
-        covariance = np.exp(-0.5 * apart**2)
+        kernel = np.exp(-0.5 * apart**2)
     else:
         s = np.sqrt(2.0 * smooth) * np.maximum(apart, 1e-9)
-        covariance = 2.0 ** (1.0 - smooth) / gamma(smooth) * s**smooth * kv(smooth, s)
-    return np.asarray(cholesky(covariance + 1e-8 * np.eye(len(rest)), lower=True) @ white)
+        kernel = 2.0 ** (1.0 - smooth) / gamma(smooth) * s**smooth * kv(smooth, s)
+    return np.asarray(kernel + 1e-8 * np.eye(len(rest)))
 
 
 def _tool(rng: np.random.Generator, errors: Errors, rest: Floats, push: Floats) -> Floats:
@@ -155,6 +166,7 @@ def _tool(rng: np.random.Generator, errors: Errors, rest: Floats, push: Floats) 
 def _camera(rng: np.random.Generator, errors: Errors, rest: Floats, true: Floats) -> Floats:
     """(K, d) what the camera adds to true positions."""
     dim, sign = rest.shape[1], rng.choice([-1.0, 1.0])
+    sign = errors.sign or sign
     middle, size = rest.mean(axis=0), float(np.ptp(rest, axis=0).max())
     drawn = rng.standard_normal((2, dim))
     first, second = drawn / np.linalg.norm(drawn, axis=1, keepdims=True)

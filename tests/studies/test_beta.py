@@ -34,7 +34,7 @@ def test_theta_at_another_depth_is_compared_with_the_one_found_there() -> None:
 def test_rows_count_truths_and_verdicts() -> None:
     def outcome(low: float, high: float, dim: int) -> DisturbedOutcome:
         return DisturbedOutcome(
-            Outcome("a", dim, 3, 20, 0.5, low, (low, high), 0.5, "identified", 0.1, ("setting",)), 2, 3, 1
+            Outcome("a", dim, 3, 20, 0.5, low, (low, high), 0.5, "identified", 0.1, ("setting",)), 2, 3, 1, (0.1, 0.2)
         )
 
     (row,) = disturbed_rows([outcome(0.4, 0.6, 2), outcome(0.6, 0.7, 3)])
@@ -43,3 +43,4 @@ def test_rows_count_truths_and_verdicts() -> None:
     assert (row["caught"].cases, row["caught"].hits) == (4, 2)
     assert (row["reasons"]["setting"].cases, row["reasons"]["setting"].hits) == (2, 2)
     assert (row["alarms"].cases, row["alarms"].hits) == (36, 4)
+    assert row["over_oracle"] == pytest.approx([1.5, 0.75])

@@ -1,5 +1,6 @@
 """Generators of other solvers: their states and errors are what they say."""
 
+import dataclasses
 from typing import get_args
 
 import numpy as np
@@ -7,8 +8,8 @@ import pytest
 
 from studies.beta import OTHER, OTHER_SOLVER, DisturbedCase, try_disturbed
 from studies.doubt_rates import Data, DoubtCase, try_doubts
-from studies.independent import plane_elements, shape_matching
-from studies.independent.observed import Errors, field, lattice, pushed_clusters
+from studies.independent import oracle, plane_elements, shape_matching
+from studies.independent.observed import CELL, Errors, field, lattice, pushed_clusters
 from studies.random_bodies import random_body
 
 
@@ -47,6 +48,36 @@ def test_a_tool_that_is_off_moves_what_is_said_of_it_alone() -> None:
     moved = np.linalg.norm(off.seen - without.seen, axis=1)
     np.testing.assert_allclose(moved[off.tool], 5e-4)
     assert not moved[np.setdiff1d(np.arange(len(moved)), off.tool)].any()
+
+
+def test_a_pressed_body_and_a_camera_of_one_sign_are_what_they_say() -> None:
+    for sign in (-1, 1):
+        wrong = Errors(camera="scale", camera_size=0.01, pressed=True, sign=sign)
+        body, right = (pushed_clusters(np.random.default_rng(5), one, 2) for one in (wrong, Errors(pressed=True)))
+        assert (body.true[body.tool] - body.rest[body.tool])[:, 0].max() < -0.4 * CELL
+        far = body.true - body.rest.mean(axis=0)
+        np.testing.assert_allclose(body.seen - right.seen, 0.01 * sign * far, atol=1e-12)
+
+
+def test_an_oracle_is_as_wide_as_the_noise_and_wider_where_the_tool_may_be_off() -> None:
+    body = pushed_clusters(np.random.default_rng(7), Errors(pressed=True), 2)
+    narrow, wide, off = (
+        oracle.widths(dataclasses.replace(body, sigma=sigma, seen=body.true), Errors(), tools, 0.9)[0]
+        for sigma, tools in ((1e-5, (0.0,)), (2e-5, (0.0,)), (1e-5, (0.04,)))
+    )
+    assert wide == pytest.approx(2.0 * narrow, rel=0.02)
+    assert off > narrow
+
+
+def test_an_oracle_of_little_noise_has_the_width_that_its_information_gives() -> None:
+    """That of a normal distribution: residuals are linear in beta there."""
+    body = pushed_clusters(np.random.default_rng(7), Errors(held=False, pressed=True), 2)
+    sigma, rows, place = 1e-6, shape_matching.windows(body.shape, body.clusters), body.true[body.held]
+    ends = [shape_matching.static_state(body.rest, rows, body.beta + step, body.held, place) for step in (-1e-4, 1e-4)]
+    deviation = sigma / np.linalg.norm((ends[1] - ends[0]) / 2e-4)
+    exact = dataclasses.replace(body, sigma=sigma, seen=body.true)
+    found = oracle.widths(exact, Errors(held=False, pressed=True), (0.0,), 0.9)[0]
+    assert found == pytest.approx(2.0 * 1.645 * deviation, rel=0.02)
 
 
 @pytest.mark.slow
