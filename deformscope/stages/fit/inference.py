@@ -33,6 +33,9 @@ of held positions at some nodes, and the share of each node at each value (k, f)
 KNOTS, BETWEEN = 25, 8
 """Candidates over the range, and steps of the grid from one to the next."""
 
+CHOSEN_BY = 2
+"""Of the candidates, every so many choose the hypotheses."""
+
 ZOOMS = 10
 
 NODES_FROM = (0.15, 0.5)
@@ -76,11 +79,6 @@ class Inference:
     def run(self, progress: Progress | None = None) -> Inferred:
         search = self.search
         low, high = (search.stretch(bound) for bound in search.bounds)
-        best = search.best()
-        spread = np.linspace(0, len(search.tried.parameter) - 1, 10).round().astype(int)
-        rows = np.unique([best, *spread[search.tried.usable[spread]]])
-        for row, part in enumerate(self.parts):
-            part.choose(search.tried.positions[row][rows], self.response(row, best))
         fine, total, rise = self._narrowed(low, high, self._explain, progress)
         for part, found in zip(self.parts, self._found, strict=True):
             density = np.exp(total - total.max()) * np.gradient(search.shrink(fine))
@@ -132,6 +130,9 @@ class Inference:
         for row, part in enumerate(self.parts):
             left = part.left(search.tried.positions[row][rows[nearest]])
             responses = [self.response(row, int(rows[node])) for node in nodes]
+            if judge == self._explain:  # what explains the best of a coarse grid may not explain the best of a fine one
+                some = np.unique([search.best(), *rows[nearest[::CHOSEN_BY]]])
+                part.choose(search.tried.positions[row][some], responses[len(responses) // 2])
             total += search.weight[row] * judge(row, *few(left, spline), responses, _shares(knots[nodes], fine))
         total[np.interp(fine, knots, usable.astype(float)) < 1.0] = -np.inf
         return fine, total

@@ -158,7 +158,7 @@ class _Joint:
         self.evidence = []
         for part, state in zip(self.parts, self.simulate(beta, theta), strict=True):
             responses = [self._response(part, float(beta[at]), float(theta[at]), state[at]) for at in corners]
-            if len(part.chosen) == len(part.errors.hypotheses.size):
+            if explain:
                 best = int(self.tried[-len(beta) :, 2].argmin())
                 some = np.unique(np.concatenate([[best], np.linspace(0, len(beta) - 1, 12).round().astype(int)]))
                 part.choose(state[some], self._response(part, float(beta[best]), float(theta[best]), state[best]))

@@ -16,7 +16,7 @@ from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.stages.fit.estimate import Doubt
 from deformscope.stages.fit.inference import Inference
 from deformscope.stages.fit.model import Observation
-from deformscope.stages.fit.noise import CORRELATIONS
+from deformscope.stages.fit.noise import CORRELATIONS, OFFS
 from deformscope.stages.fit.residuals import Residuals
 from deformscope.stages.fit.search import Search
 
@@ -38,6 +38,9 @@ SETTLED = 0.02
 
 FIELDS_TRIED, SIZES = (("matern", (1.0, 3.0, 8.0)), ("gaussian", (1.4, 2.8, 4.0))), 3
 """Roughnesses and lengths of the smooth fields that represent all, and the step between sizes."""
+
+OFF = OFFS[5][0]
+"""Errors of tool and camera that are allowed for: a tool that is off as a whole is no reason to blame its particles."""
 
 EFFECT = 0.02
 """Share of the (stretched) range by which the parameter is changed for a derivative."""
@@ -89,7 +92,7 @@ def _steps(
     every = part.errors.hypotheses  # some of which stand for all
     fields = [(every.field == CORRELATIONS.index(one)) & np.isin(every.length, some) for one, some in FIELDS_TRIED]
     few = np.any(fields, axis=0) & np.isin(every.size, np.unique(every.size)[1::SIZES]) | (every.size == 0.0)
-    chosen = np.flatnonzero(few & (every.camera == 1.0) & (every.tool == 1.0))
+    chosen = np.flatnonzero(few & np.all(every.off == OFF, axis=1))
     found = part.errors.products(base, response, chosen)
 
     def fitted(which: Sequence[int]) -> tuple[float, FloatArray]:

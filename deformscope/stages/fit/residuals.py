@@ -186,10 +186,13 @@ class Residuals:
         moved = (residual - residual.mean(axis=0)).reshape(len(residual), -1) * weight
         others = self.errors.modes(response, held=True).reshape(len(weight), -1) * weight[:, None]
         prior = np.eye(others.shape[1])
+        off = self.errors.deviations(self.errors.hypotheses.off[self.kept], len(prior))
+        share = np.sqrt(one.weight @ (off > 0.0))  # how likely each is off at all
+        often = np.outer(share, share)
         size, axes = eigh(moved @ moved.T)
         size, axes = size[::-1], axes[:, ::-1]
         if size[0] <= 0.0:  # it does nothing: any direction will do
-            return np.asarray(weight.reshape(*residual.shape[1:], 1)), prior
+            return np.asarray(weight.reshape(*residual.shape[1:], 1)), often * prior
         count = max(1, min(most, int(np.count_nonzero(size > SUMMARY_LEAST**2 * size[0]))))
         along = moved.T @ axes[:, :count] / np.sqrt(size[:count])
         across, spread, _ = np.linalg.svd(others - along @ (along.T @ others), full_matrices=False)
@@ -198,7 +201,7 @@ class Residuals:
         onto, details = ((some * weight[:, None]).reshape(*residual.shape[1:], -1) for some in both)
         noisy = one.weight @ one.field**2 < np.mean(one.weight @ one.white**2 * self.errors.noise**2)
         if noisy or not across.size:
-            return onto, prior
+            return onto, often * prior
         onto = onto[..., :count]
         best = residual[np.sum(np.tensordot(residual, onto, 2) ** 2, axis=1).argmin()]
         each = self.errors.projected(details, response, self.kept, 0.0 * prior)
@@ -207,7 +210,7 @@ class Residuals:
         by = np.linalg.solve(noise, act)
         left = np.linalg.inv(prior + act.T @ by)
         mean = left @ by.T @ np.tensordot(details, best, ((0, 1), (0, 1)))
-        return onto, left + np.outer(mean, mean)
+        return onto, often * (left + np.outer(mean, mean))
 
     def log_summary(
         self, residual: FloatArray, onto: FloatArray, amplitude: FloatArray, response: FloatArray

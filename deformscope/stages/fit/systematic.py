@@ -6,13 +6,15 @@
   direction, or a drift. Bent displacements, such as those by a lens, are left to the smooth fields of
 `deformscope.stages.fit.noise`.
 
-Each displacement has a Gaussian prior, so that together they add a covariance of low rank to that of the noise. These
-displacements are always included. The effect of a tool's displacement on the residuals resembles that of a parameter,
-so that evidence would decide against an existing tool error (`python -m studies beta`, docs/results/coverage.md)."""
+Each displacement has a Gaussian prior, so that together they add a covariance of low rank to that of the noise. A shift
+of the tool is always possible: its effect on the residuals resembles that of a parameter, so that evidence would decide
+against an existing one (`python -m studies beta`, docs/results/coverage.md). The evidence decides whether there are
+others, which it shows."""
 
 from itertools import combinations
 
 import numpy as np
+from scipy.linalg import null_space
 
 from deformscope.arrays import BoolArray, FloatArray
 
@@ -44,9 +46,10 @@ def tool_modes(held: FloatArray, touched: BoolArray) -> FloatArray:
 
 
 def camera_modes(places: FloatArray) -> FloatArray:
-    """(n, d, q) displacements of particles at places (n, d) [unit], one deviation each."""
+    """(n, d, d^2) displacements of particles at places (n, d) [unit], one deviation each: a scale, then the others."""
     d = places.shape[1]
     half = 0.5 * float(np.ptp(places, axis=0).max())
     along = (places - 0.5 * (places.min(axis=0) + places.max(axis=0))) / half
     each = [np.outer(along[:, i], axis) for i in range(d) for axis in np.eye(d)]
-    return np.asarray(CAMERA_SLOPE * half * np.stack(each, axis=-1))
+    scale = np.eye(d).reshape(-1, 1) / np.sqrt(d)
+    return np.asarray(CAMERA_SLOPE * half * np.stack(each, axis=-1) @ np.hstack([scale, null_space(scale.T)]))

@@ -9,7 +9,10 @@ from deformscope.arrays import FloatArray
 from deformscope.stages.fit import noise
 from deformscope.stages.fit.calibrate import FitOptions, Model, Observation, calibrate
 from deformscope.stages.fit.noise import OFFS, SCALE_ROUNDS, ErrorModel, Measured
+from deformscope.stages.fit.residuals import Residuals
 from deformscope.stages.fit.systematic import camera_modes, tool_modes
+from studies.beta import observed
+from studies.independent.observed import Errors, pushed_clusters
 from tests.cases import Patch
 
 
@@ -53,8 +56,9 @@ def test_products_are_those_of_the_whole_covariance() -> None:
     flat, each = response.reshape(14, 6), residual.reshape(2, 14)
     modes = errors.modes(response, held=True).reshape(14, -1)
     for at, row in enumerate(rows):
-        by_camera, by_tool = every.camera[row] * modes[:, :4], every.tool[row] * modes[:, 4:]
-        covariance = 0.01 * np.eye(14) + 0.04 * flat @ flat.T + by_camera @ by_camera.T + by_tool @ by_tool.T
+        scale, camera, shift, other = every.off[row]
+        off = modes * [np.sqrt(2.0) * scale, *3 * [camera], *2 * [shift], *3 * [other]]
+        covariance = 0.01 * np.eye(14) + 0.04 * flat @ flat.T + off @ off.T
         np.testing.assert_allclose(found.product[at], each @ np.linalg.solve(covariance, each.T), rtol=1e-8)
         # the whole log determinant, less what the stated noise has of it
         assert found.log_det[at] == pytest.approx(np.linalg.slogdet(covariance)[1], rel=1e-8)
@@ -71,11 +75,32 @@ def test_a_camera_that_is_off_does_not_enlarge_the_noise_by_which_its_errors_are
         every = errors.hypotheses
         seen = errors.modes(response, held=True)
         residual = 3.0 * seen[..., 0] + 2e-4 * np.random.default_rng(3).standard_normal((60, 2))
-        row = np.flatnonzero(every.held & (every.size == 0.0))[:1]
+        row = np.flatnonzero(every.held & (every.size == 0.0) & (every.off[:, 0] > 0.0))[:1]
         errors.products(residual[None], response, row, settle=True)
         scales.append(float(np.exp(errors.log_scale[row[0]])))
     assert scales[0] > 5.0
     assert scales[1] == pytest.approx(1.0, abs=0.2)
+
+
+@pytest.mark.parametrize(("scale", "likely"), [(0.0, "nothing"), (0.02, "scale")])
+def test_evidence_shows_whether_a_scale_is_wrong(scale: float, likely: str) -> None:
+    measured, response = _measured(60)
+    measured = dataclasses.replace(measured, noise=np.full(60, 2e-3), held_noise=np.full(3, 2e-3))
+    errors = ErrorModel(measured)
+    every = errors.hypotheses
+    assert measured.held_rest is not None
+    places = np.concatenate([measured.rest, measured.held_rest])
+    wrong = scale * (places - places.mean(axis=0)) + 2e-3 * np.random.default_rng(3).standard_normal(places.shape)
+    residual = wrong[:60] - response @ wrong[60:].ravel()
+    found = errors.evidence(residual[None], response).log_likelihood[:, 0]
+    weight = np.exp(found - found.max())
+    weight /= weight.sum()
+    exact, only_scale = every.off[:, 0] == 0.0, (every.off[:, 0] > 0.0) & (every.off[:, 1] == 0.0)
+    before, after = (
+        np.array([each[exact].sum(), each[only_scale].sum()]) for each in (np.exp(every.log_prior), weight)
+    )
+    gained = after / before
+    assert (gained[0] > 1.5) if likely == "nothing" else (after[0] < 1e-3 and gained[1] > 1.5)
 
 
 def _pulled(shift_m: float, noise_m: float = 1e-4) -> Observation:
@@ -119,3 +144,26 @@ def test_what_details_show_of_a_tool_that_is_right_narrows_the_interval() -> Non
     ends, rough = (one.estimate.interval for one in fits)
     assert ends[0] <= 0.6 <= ends[1]
     assert ends[1] - ends[0] < rough[1] - rough[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [3, 9, 12])
+def test_hypotheses_that_a_coarse_grid_contradicts_count_where_a_fine_one_does_not(
+    number: int, monkeypatch: Patch
+) -> None:
+    """Errors that are smooth and have hardly any white noise: candidates far apart leave more than they explain."""
+    errors = Errors(cells=3.0, pressed=True)
+    body = pushed_clusters(np.random.default_rng([1500, number]), errors, 2)
+
+    def width() -> float:
+        options = FitOptions(Model(cluster_size=body.clusters), (0.0, 0.99), candidates=40)
+        return float(np.ptp(calibrate([observed(body, errors)], options).estimate.interval))
+
+    some, choose = width(), Residuals.choose
+
+    def all_of_them(part: Residuals, position: FloatArray, response: FloatArray) -> None:
+        choose(part, position, response)
+        part.chosen = np.arange(len(part.errors.hypotheses.size))
+
+    monkeypatch.setattr(Residuals, "choose", all_of_them)
+    assert some == pytest.approx(width(), rel=0.05)
