@@ -32,8 +32,8 @@ class Errors:
     largest at one end [m]; lens: radial, or a wave as long as the body, at most this [m]
     cells: over how many spacings neighbours share noise, 0 for none; smooth: nu of the Matern kernel, inf for Gaussian
     held: whether held positions have noise too; told: whether that is stated
-    pressed: the tool presses into the body, by .4 to 1.5 spacings, instead of any way; sign: of the camera's error, 0
-    for either"""
+    pressed: the tool presses into the body, by .4 to 1.5 spacings, instead of any way; sign: that of the
+    camera's error, 0 = either"""
 
     tool: ToolError = "none"
     tool_size: float = 0.0

@@ -1,4 +1,4 @@
-"""The narrowest interval of beta that is right: of a fit that knows the noise's covariance, by NumPy and SciPy alone.
+"""The narrowest right interval of beta: of a fit that is given the noise's covariance, by NumPy and SciPy alone.
 
 A prior of beta that is flat over its range, and the static states of `shape_matching` through the seen held positions.
 What is left of the free particles is then Gaussian, with the noise of the held ones carried over by their effect."""

@@ -34,7 +34,7 @@ KNOTS, BETWEEN = 25, 8
 """Candidates over the range, and steps of the grid from one to the next."""
 
 CHOSEN_BY = 2
-"""Of the candidates, every so many choose the hypotheses."""
+"""Step between the candidates that choose the hypotheses."""
 
 ZOOMS = 10
 
