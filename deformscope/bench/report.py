@@ -1,13 +1,11 @@
 """One run of the bench: its rows as they are measured, and the whole run as JSON."""
 
-import json
 import os
 import platform
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, TypeAlias
 
 import numpy as np
 import warp as wp
@@ -55,8 +53,6 @@ def _cpu() -> str:
 FORMAT = 1
 """Version of the JSON; a change that breaks readers raises it."""
 
-Earlier: TypeAlias = "Mapping[tuple[str, str, str, str], Mapping[str, Any]]"
-
 Rows = Callable[[BenchPlan, Note], Iterator[TimingRow]]
 
 MEASURES: tuple[tuple[frozenset[Case], Rows], ...] = (
@@ -90,13 +86,10 @@ class Report:
     rows: tuple[Mapping[str, object], ...]
 
 
-def run_bench(
-    plan: BenchPlan, against: Path | None, note: Note, done: Callable[[Report, Sequence[TimingRow]], None]
-) -> None:
-    """Measure, and pass report and rows to `done` at the end, also after an interruption. against: JSON of an earlier
-    run, which is compared. Raises InputError for unsupported cases, and for samples of 0 or less."""
+def run_bench(plan: BenchPlan, note: Note, done: Callable[[Report, Sequence[TimingRow]], None]) -> None:
+    """Measure, and pass report and rows to `done` at the end, also after an interruption. Raises InputError for
+    unsupported cases, and for samples of 0 or less."""
     check(plan)
-    earlier = read_earlier(against)
     rows: list[TimingRow] = []
     complete = False
     try:
@@ -104,24 +97,8 @@ def run_bench(
             rows.append(row)
         complete = True
     finally:  # the machine's load is measured at the end
-        plain = tuple(row.plain(earlier.get((row.case, row.what, row.who, row.unit))) for row in rows)
+        plain = tuple(row.plain() for row in rows)
         done(Report(FORMAT, complete, machine(plan.device), plan, plain), rows)
     if failed := [row for row in rows if not row.positive]:
         got = "; ".join(f"{row.what} by {row.who}: {min(row.samples):.3g} {row.unit}" for row in failed)
         raise InputError("times above 0", got, "deformscope bench again on an idle machine")
-
-
-def read_earlier(path: Path | None) -> Earlier:
-    """The rows of a run's JSON by case, what, who and unit; none without a path. Raises InputError for a file without
-    such rows."""
-    if path is None:
-        return {}
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-        if found["format"] != FORMAT:
-            came = f"{found['format']} in {path}"
-            raise InputError(f"the JSON of a bench in format {FORMAT}", came, "a bench of now")
-        return {(row["case"], row["what"], row["who"], row["unit"]): row for row in found["rows"]}
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        problem = f"{path}: {type(error).__name__}: {error}"
-        raise InputError("the JSON of an earlier bench", problem, "deformscope bench --json FILE") from None

@@ -5,7 +5,6 @@ import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any
 
 SPREAD = 0.2
 """Interquartile range as a share of the median above which a row says that its samples disagree."""
@@ -70,15 +69,13 @@ class TimingRow:
             return f"samples spread by {self.spread / self.median:.0%}"
         return ""
 
-    def plain(self, against: Mapping[str, Any] | None = None) -> dict[str, object]:
-        """The row as in the JSON. against: the row of an earlier run that did the same, as in its JSON."""
-        then = None if against is None else against["median"]
+    def plain(self) -> dict[str, object]:
+        """The row as in the JSON."""
         return asdict(self) | {
             "median": self.median,
             "iqr": self.spread,
             "repeats": len(self.samples),
             "doubt": self.doubt,
-            "against": self.median / then if then and self.median else None,
         }
 
 

@@ -24,10 +24,7 @@ FACTS: dict[str, Callable[[Any], str]] = {
 }
 """The facts of a row in the table, with their formats."""
 
-REMARK = (
-    "costs: median over rounds of this row over its reference row (the first of its body by deformscope). "
-    "against: median over that of the earlier run; it is comparable only on the same machine under the same load."
-)
+REMARK = "costs: median over rounds of this row over its reference row (the first of its body by deformscope). "
 
 
 def run(config: BenchConfig) -> None:
@@ -36,7 +33,7 @@ def run(config: BenchConfig) -> None:
 
     def done(found: Report, rows: Sequence[TimingRow]) -> None:
         if rows:
-            show(rows, found, compared=config.against is not None)
+            show(rows, found)
         write_json(found, config.json)
 
     device = pick_device(config.device)
@@ -44,12 +41,12 @@ def run(config: BenchConfig) -> None:
     plan = BenchPlan(device, sizes, config.repeats, config.quick, config.only or CASES)
     where = console()
     # Lines, no spinner: its thread would take its share of what is measured.
-    run_bench(plan, config.against, lambda doing: where.print(doing, style="dim", markup=False), done)
+    run_bench(plan, lambda doing: where.print(doing, style="dim", markup=False), done)
 
 
-def show(rows: Sequence[TimingRow], found: Report, *, compared: bool) -> None:
+def show(rows: Sequence[TimingRow], found: Report) -> None:
     """Print one line for each row, in sections by case; on stderr if `--json -` uses stdout."""
-    machine, against = found.machine, [row["against"] for row in found.rows]
+    machine = found.machine
     out = Console(file=sys.stdout, highlight=False, width=None if sys.stdout.isatty() else WIDTH)
     cores = f"{machine['cores']} cores, vectors of {machine['vector_bits']} bits, load {machine['load']:.1f}"
     processor = machine["gpu"] or f"{machine['cpu']}, {cores}"
@@ -60,18 +57,17 @@ def show(rows: Sequence[TimingRow], found: Report, *, compared: bool) -> None:
     for heading in ("median", "IQR"):
         table.add_column(heading, justify="right", no_wrap=True)
     table.add_column("unit", no_wrap=True)
-    for heading in ("rounds", "costs", *(["against"] if compared else [])):
+    for heading in ("rounds", "costs"):
         table.add_column(heading, justify="right", no_wrap=True)
     table.add_column("", overflow="fold")
     last = ""
-    for row, then in sorted(zip(rows, against, strict=True), key=lambda each: CASES.index(each[0].case)):
+    for row in sorted(rows, key=lambda row: CASES.index(row.case)):
         if last and row.case != last:
             table.add_section()
         costs = "" if row.costs is None else f"{number(row.costs)}x"
         table.add_row(
             *("" if row.case == last else row.case, row.what, row.who, number(row.median), number(row.spread)),
             *(row.unit, str(len(row.samples) or ""), costs),
-            *([f"{number(then)}x" if isinstance(then, float) else ""] if compared else []),
             details(row),
         )
         last = row.case

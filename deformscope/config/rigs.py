@@ -390,8 +390,6 @@ class BenchConfig(CommandOptions):
     """Particles of the cubes that are stepped and relaxed; default: 216 to a million, on a GPU to ten."""
     repeats: flags.SomeFlag = None
     """Rounds of every comparison; default: as many as fit into a few seconds, 9 at most."""
-    against: flags.FileFlag = None
-    """The JSON of an earlier bench: each row's time is compared with it."""
     device: flags.Device = "auto"
     """Where the simulation runs; auto: on the GPU where there is one."""
     json: flags.JsonFlag = None

@@ -16,7 +16,7 @@ SHORT = ["bench", "--quick", "--device", "cpu", "--sizes", "64", "--repeats", "3
 TOP = {"format", "complete", "machine", "settings", "rows"}
 OF_ROWS = {
     *("case", "what", "who", "unit", "median", "iqr", "repeats", "samples"),
-    *("costs", "beside", "facts", "note", "doubt", "against"),
+    *("costs", "beside", "facts", "note", "doubt"),
 }
 
 
@@ -70,25 +70,6 @@ def test_json_has_stdout_to_itself(monkeypatch: Patch, capsys: Capture) -> None:
     told = json.loads(capsys.readouterr().out)
     assert told.keys() == TOP
     assert all(row.keys() == OF_ROWS for row in told["rows"])
-
-
-def test_a_row_is_compared_with_an_earlier_run(monkeypatch: Patch, capsys: Capture) -> None:
-    rows_as_measured(monkeypatch, 2.0, 2.0, 2.1)
-    assert main([*SHORT, "--json", "bench.json"]) == 0
-    assert told_rows()[0]["against"] is None
-    Path("bench.json").rename("before.json")
-    rows_as_measured(monkeypatch, 3.0, 3.0, 3.1)
-    assert main([*SHORT, "--json", "bench.json", "--against", "before.json"]) == 0
-    assert told_rows()[0]["against"] == 1.5
-    assert "1.5x" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize("text", ["", "{}", '{"format": 99, "rows": []}', '{"format": 1, "rows": [{}]}', "[1]"])
-def test_an_earlier_run_that_is_none_is_refused(text: str, capsys: Capture) -> None:
-    Path("before.json").write_text(text, encoding="utf-8")
-    assert main([*SHORT, "--against", "before.json"]) == EXIT_INPUT
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "before.json" in line
 
 
 def test_samples_that_disagree_are_said(monkeypatch: Patch, capsys: Capture) -> None:
