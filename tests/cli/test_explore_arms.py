@@ -1,5 +1,6 @@
 """`explore RIG` with arms other than the Jaco: one that a person places, and a KUKA through RSI."""
 
+import faulthandler
 import importlib.metadata
 import itertools
 import json
@@ -222,6 +223,7 @@ def test_an_arm_without_joint_torques_wants_calibrate_force(
 @pytest.mark.slow
 def test_every_arm_of_the_laboratory_finds_the_same_foam(tmp_path: Path, capsys: Capture, monkeypatch: Patch) -> None:
     """A stranger's arm too: Universal Robots' package is known by its entry point alone."""
+    faulthandler.cancel_dump_traceback_later()
     use_quick_scene(monkeypatch)
     monkeypatch.syspath_prepend(str(ROOT / "drivers" / "packages" / "ur"))
     entry = importlib.metadata.EntryPoint("ur", "deformscope_ur:DRIVER", GROUP)

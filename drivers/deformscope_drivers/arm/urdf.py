@@ -54,7 +54,7 @@ def chain_of_urdf(path: Path, tip: str, home_deg: tuple[float, ...]) -> Chain:
                 float(_value(joint, "limit", key, "0")) for key in ("lower", "upper", "velocity", "effort")
             )
             first, last = (None, None) if kind == "continuous" else (math.degrees(low), math.degrees(high))
-            xyz_m, rpy_rad = _xyz_rpy(step @ turned)
+            xyz_m, rpy_rad = xyz_rpy(step @ turned)
             joints.append(Joint(xyz_m, rpy_rad, first, last, math.degrees(fastest), torque, masses[link]))
             step = turned.T
     except OSError as error:
@@ -62,7 +62,7 @@ def chain_of_urdf(path: Path, tip: str, home_deg: tuple[float, ...]) -> Chain:
     except (ET.ParseError, KeyError, ValueError, AttributeError) as error:
         came = " ".join(str(error).split())
         raise DeviceError("a URDF: XML with named links and joints", came, where=path) from error
-    return Chain(robot.attrib.get("name", path.stem), tuple(joints), *_xyz_rpy(step), home_deg)
+    return Chain(robot.attrib.get("name", path.stem), tuple(joints), *xyz_rpy(step), home_deg)
 
 
 def _value(part: ET.Element, name: str, key: str, default: str = "") -> str:
@@ -83,7 +83,7 @@ def _to_z(axis: FloatArray) -> FloatArray:
     return np.column_stack([across, np.cross(along, across), along])
 
 
-def _xyz_rpy(T: FloatArray) -> tuple[Vector3, Vector3]:
+def xyz_rpy(T: FloatArray) -> tuple[Vector3, Vector3]:
     """Translation [m] and roll, pitch, yaw [rad] of a transform (4, 4)."""
     (x, y, z), (roll, pitch, yaw) = T[:3, 3].tolist(), (-euler_xyz_from_rotation(T[:3, :3].T)).tolist()
     return (x, y, z), (roll, pitch, yaw)

@@ -3,12 +3,12 @@
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from deformscope_drivers.arm.kinematics import Chain, FloatArray, Joint, euler_xyz_from_rotation, transform
+from deformscope_drivers.arm.kinematics import Chain, FloatArray, Joint, transform
 from deformscope_drivers.arm.kinematics import rotation_from_rpy as by_rpy
+from deformscope_drivers.arm.urdf import xyz_rpy
 from deformscope_drivers.transport import check_port
 
 RTDE, DASHBOARD, SCRIPT = "rtde", "dashboard", "script"
@@ -45,15 +45,10 @@ def ur_chain(model: str, *deltas: tuple[float, ...]) -> Chain:
     for joint in (2, 3):
         slide = transform(np.eye(3), (0.0, 0.0, -steps[joint][2, 3] / steps[joint][2, 2]))
         steps[joint], steps[joint + 1] = steps[joint] @ slide, np.linalg.inv(slide) @ steps[joint + 1]
-    poses: list[Any] = list(map(_xyz_rpy, steps))
+    poses = list(map(xyz_rpy, steps))
     each = zip(poses[:6], ranges_deg, speeds_deg_s, masses_kg, strict=True)
     joints = tuple(Joint(xyz_m, rpy, -end, end, speed, 0.0, mass_kg) for (xyz_m, rpy), end, speed, mass_kg in each)
     return Chain(model, joints, poses[6][0], poses[6][1], HOME_DEG)
-
-
-def _xyz_rpy(T: FloatArray) -> Any:
-    """Translation [m] and roll, pitch, yaw [rad] of a transform (4, 4)."""
-    return tuple(T[:3, 3].tolist()), tuple((-euler_xyz_from_rotation(T[:3, :3].T)).tolist())
 
 
 CHAINS = {model: ur_chain(model) for model in _ARMS}
