@@ -106,10 +106,14 @@ class RegionMap:
     @property
     def claimed(self) -> float:
         """Probability of the verdict and `region_count`; of as many or more where that is possible."""
-        k = self.region_count
-        if self.more_possible:
-            return sum(share for number, share in self.probability.items() if number.isdigit() and int(number) >= k)
-        return self.probability[str(k or "gradual")]
+        return claimed_share(self.probability, self.region_count)
+
+
+def claimed_share(probability: dict[str, float], regions: int) -> float:
+    """Probability of this number of regions, or more where they are not distinguished; 0: of a gradual change."""
+    if regions >= FIRST_REGIONS:
+        return sum(share for number, share in probability.items() if number.isdigit() and int(number) >= regions)
+    return probability[str(regions or "gradual")]
 
 
 @dataclass(frozen=True)
@@ -249,7 +253,9 @@ class RegionPosterior:
 
     @property
     def verdict(self) -> RegionMapKind:
-        return "gradual" if self.probability["gradual"] > 0.5 else "regions"
+        """ "gradual" where that is likelier than the most probable number of regions, as it would be reported."""
+        regions = claimed_share(self.probability, self.region_count)
+        return "gradual" if self.probability["gradual"] > regions else "regions"
 
     @property
     def kind(self) -> SurfaceKind:

@@ -219,6 +219,27 @@ def test_more_regions_than_are_told_apart_are_named() -> None:
     assert replace(shown, region_count=0, verdict="gradual").claimed == 0.05
 
 
+@pytest.mark.parametrize("slope", [0.6, 0.7, 0.8])
+def test_what_is_reported_is_the_likeliest(slope: float) -> None:
+    """Few touches of a slope, where regions of any number together are as likely as a gradual change."""
+    shown = posterior(touches(slope * np.array(SPREAD)[:5, 0])).region_map()
+    assert shown.claimed >= max(shown.probability.values())
+
+
+@pytest.mark.parametrize(
+    ("shares", "verdict"),
+    [
+        ((0.12, 0.31, 0.09, 0.03, 0.01, 0.44), "gradual"),
+        ((0.02, 0.08, 0.30, 0.15, 0.05, 0.40), "regions"),  # at least three
+        ((0.02, 0.45, 0.05, 0.04, 0.00, 0.44), "regions"),
+    ],
+)
+def test_gradual_is_likelier_than_the_number_that_would_be_reported(shares: tuple[float, ...], verdict: str) -> None:
+    one = posterior(halves(0.0))
+    one.__dict__["probability"] = dict(zip(("1", "2", "3", "4", "5", "gradual"), shares, strict=True))
+    assert one.verdict == verdict
+
+
 def test_regions_that_are_not_followed_have_their_share_of_the_most_that_are() -> None:
     found = posterior(halves(0.9)[:6])
     assert len(found.particles) == 2
