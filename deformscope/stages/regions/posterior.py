@@ -110,7 +110,7 @@ class RegionMap:
 
 
 def claimed_share(probability: dict[str, float], regions: int) -> float:
-    """Probability of this number of regions, or more where they are not distinguished; 0: of a gradual change."""
+    """Probability of this number of regions, or more where they are not distinguished; 0 = gradual"""
     if regions >= FIRST_REGIONS:
         return sum(share for number, share in probability.items() if number.isdigit() and int(number) >= regions)
     return probability[str(regions or "gradual")]
