@@ -11,7 +11,7 @@ from deformscope.config.indent import TipText, parse_tip
 from deformscope.config.options import RecordedOptions, ViewOptions, either
 from deformscope.errors import InputError
 
-Target = Literal["mujoco", "newton"]
+Target = Literal["mujoco"]
 PythonFlag = Annotated[Path | None, flags.one_word("PYTHON", Path), flags.unset]
 TipFlag = Annotated[TipText | None, flags.one_word("KIND:SIZE", parse_tip), flags.unset]
 _ratio = flags.Rule(lambda value: 0.0 <= value < 0.5, "a {flag} of 0 to below 0.5")
@@ -25,7 +25,7 @@ class SimulateConfig(RecordedOptions):
     source: Annotated[Path, Positional, arg(metavar="MODEL.npz|FILE.rrd"), flags.Reads()]
     """A model of layers that `deformscope calibrate ... --save` wrote, or the recording of an exploration."""
     target: Annotated[Target, arg(name="in")]
-    """The simulator. It must be installed: pip install mujoco, or newton."""
+    """The simulator. It must be installed: pip install mujoco."""
     out: flags.Folder
     """Folder for the body: the simulator's own file, and VTU and OBJ for others."""
     python: PythonFlag = None

@@ -153,14 +153,13 @@ class SimulationResult(SourceResult):
 
     def tables(self) -> tuple[Table, ...]:
         needed, found = self.fit.parameters, []
-        for name, text in (
-            ("young", f"{needed.young / 1e3:.4g} kPa, measured {self.measured.young / 1e3:.4g} kPa"),
-            ("poisson", f"{needed.poisson:.3g}"),
-            ("contact", f"{needed.contact:.3g} /s^2"),
+        for label, name, text in (
+            ("modulus needed", "young", f"{needed.young / 1e3:.4g} kPa, measured {self.measured.young / 1e3:.4g} kPa"),
+            ("Poisson's ratio", "poisson", f"{needed.poisson:.3g}"),
+            ("stiffness of contact", "contact", f"{needed.contact:.3g} /s^2"),
         ):
-            known = "" if self.fit.determined(name) else " (given)" if not self.fit.free[NAMES.index(name)] else ""
-            known = known or ("" if self.fit.determined(name) else " (not determined by these pokes)")
-            label = {"young": "modulus needed", "poisson": "Poisson's ratio", "contact": "stiffness of contact"}[name]
+            fitted = self.fit.free[NAMES.index(name)]
+            known = "" if self.fit.determined(name) else " (not determined by these pokes)" if fitted else " (given)"
             found.append((label, text + known))
         deepest = max(self.pokes, key=lambda one: float(one.answer.penetration.max()))
         inside = 1e3 * float(deepest.answer.penetration.max())
@@ -168,7 +167,7 @@ class SimulationResult(SourceResult):
         found += [("penetration", f"{inside:.2g} mm of {1e3 * deepest.poke.seen.depth:.3g} mm")]
         found += [("time step", f"{1e3 * self.timestep_s:.3g} ms; the force stays the same {stable}")]
         found += [("seconds a step", f"{np.median([one.answer.step_s for one in self.pokes]):.2g}")]
-        found += [("converged", "yes" if self.fit.converged else "NO: stopped before")]
+        found += [("converged", "yes" if self.fit.converged else "NO: ended before")]
         body = f"{self.body}, {len(self.mesh.vertices)} vertices"
         rows = [
             (
@@ -248,7 +247,7 @@ def simulate(config: SimulateConfig, progress: Progress | None = None) -> Simula
         found = fit_target(mesh, fitted, runs.press, start, free, lambda done, total: note("runs", done, total))
         last = runs.last(found.parameters, pokes, first)
         stable = runs.stable_step(found.parameters, pokes, last)
-    body = write_body(config.out, config.target, mesh, found.parameters, config.density, config.timestep_s)
+    body = write_body(config.out, mesh, found.parameters, config.density, config.timestep_s)
     write_meshes(config.out, mesh, last[-1].moved, found.parameters)
     answers = []
     for poke, before, after in zip(pokes, first, last, strict=True):
@@ -309,9 +308,7 @@ class _Runs:
         if not self._keep_on():
             raise Stopped
         if self._body is None:
-            self._body = write_body(
-                config.out, config.target, self._mesh, parameters, config.density, config.timestep_s
-            )
+            self._body = write_body(config.out, self._mesh, parameters, config.density, config.timestep_s)
         asked = [
             {
                 "at_m": poke.seen.at[:2].tolist(),
@@ -428,8 +425,8 @@ def _of_recording(config: SimulateConfig) -> tuple[MeasuredSurface, list[Measure
     tip = Tip(cast("Any", config.tip.kind), config.tip.size)
     found = []
     for touch in touches:
-        depth = np.array(DEPTHS) * touch.depth_m
-        force = np.interp(depth, touch.approach_m - touch.contact_m, touch.fitted_n)
+        depth, sunk = np.array(DEPTHS) * touch.depth_m, touch.approach_m - touch.contact_m
+        force = np.interp(np.array(DEPTHS) * sunk.max(), sunk, touch.fitted_n)  # the arm gives way: sunk is larger
         moved = np.zeros_like(touch.observed_m)
         moved[:, 2] = touch.observed_m[:, 2] - touch.xyz_m[2]
         rest = touch.observed_m - moved

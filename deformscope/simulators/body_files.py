@@ -1,7 +1,6 @@
-"""A body's files: for MuJoCo an MJCF with a flex, for Newton arrays, for others VTU and OBJ."""
+"""A body's files: for MuJoCo an MJCF with a flex, for others VTU and OBJ."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -14,20 +13,12 @@ RADIUS_M = 1e-4
 GRAVITY, RAYLEIGH_S = 9.81, 0.01
 IMPEDANCE = 0.9999
 """MuJoCo's largest (mjMAXIMP): with less, a contact is soft however stiff its reference is."""
-NAMES = {"mujoco": "slab.xml", "newton": "slab.npz"}
 
 
-def write_body(
-    folder: Path, target: str, mesh: SlabMesh, found: TargetParameters, density: float, timestep_s: float
-) -> Path:
-    """Write the body with these parameters for a target; its main file. Existing files are replaced."""
-    path = folder / NAMES[target]
-    if target == "mujoco":
-        path.write_text(_mjcf(mesh, found, density, timestep_s), encoding="utf-8")
-    else:
-        fields: dict[str, Any] = {"vertices_m": mesh.vertices, "tetrahedra": mesh.elements, "fixed": mesh.bottom}
-        fields |= {name: np.array(getattr(found, name)) for name in ("young", "poisson", "contact")}
-        np.savez(path, **fields, density=np.array(density), timestep_s=np.array(timestep_s))
+def write_body(folder: Path, mesh: SlabMesh, found: TargetParameters, density: float, timestep_s: float) -> Path:
+    """Write the body with these parameters as an MJCF; its path. An existing file is replaced."""
+    path = folder / "slab.xml"
+    path.write_text(_mjcf(mesh, found, density, timestep_s), encoding="utf-8")
     return path
 
 

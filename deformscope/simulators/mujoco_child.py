@@ -12,6 +12,7 @@ or {"error": "one line"}. A tip is a mocap body that sinks into the slab step by
 along z, when it no longer changes; `moved_m` are the vertices under the deepest poke less those at rest, which lie as
 gravity leaves them."""
 
+import itertools
 import json
 import os
 import sys
@@ -22,6 +23,9 @@ from typing import Any
 RAMP, LONGEST, AVERAGED = 12, 80, 6
 """Steps in which the tip goes from one depth to the next; most steps until the force no longer changes; steps that are
 averaged."""
+TILES = 6
+"""Boxes along each side of a flat tip. MuJoCo keeps 50 contacts for a geom on such a flex, and few at a box's edges:
+with one box the force depends more on where the flex's vertices are."""
 STILL = 1e-3
 """Relative change between averaged forces below which the force no longer changes."""
 
@@ -38,11 +42,12 @@ def scene(mujoco: Any, asked: dict[str, Any], poke: dict[str, Any]) -> tuple[Any
     kind, size = {
         "sphere": (mujoco.mjtGeom.mjGEOM_SPHERE, [half[0], 0.0, 0.0]),
         "disc": (mujoco.mjtGeom.mjGEOM_CYLINDER, [half[0], half[0], 0.0]),
-        "flat": (mujoco.mjtGeom.mjGEOM_BOX, [half[0], half[-1], half[0]]),
+        "flat": (mujoco.mjtGeom.mjGEOM_BOX, [half[0] / TILES, half[-1] / TILES, half[0]]),
     }[shape]
-    spec.worldbody.add_body(name="tip", mocap=True, pos=[*poke["at_m"], 1.0]).add_geom(
-        type=kind, size=size, condim=flex.condim
-    )
+    tip = spec.worldbody.add_body(name="tip", mocap=True, pos=[*poke["at_m"], 1.0])
+    tiles = [(2 * one + 1) / TILES - 1.0 for one in range(TILES)] if shape == "flat" else [0.0]
+    for x, y in itertools.product(tiles, tiles):
+        tip.add_geom(type=kind, size=size, pos=[x * half[0], y * half[-1], 0.0], condim=flex.condim)
     model = spec.compile()
     return model, mujoco.MjData(model), half[0] + float(flex.radius)
 

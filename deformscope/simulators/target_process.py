@@ -4,6 +4,7 @@ import contextlib
 import json
 import os
 import queue
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -15,7 +16,7 @@ from typing import Any, cast
 from deformscope.errors import InputError
 from deformscope.processes import BLAS_THREADS, END_S, RENEW_S
 
-TRIED = {"mujoco": "4.0.0", "newton": "1.8.0"}
+TRIED = {"mujoco": "4.0.0"}
 """The version of each target with which it was tried."""
 
 
@@ -28,7 +29,9 @@ class TargetProcess:
     start, or does not find the target."""
 
     def __init__(self, target: str, python: Path | None = None) -> None:
-        self.target, self._python = target, str(python or sys.executable)
+        self.target, self._python = target, sys.executable
+        if python is not None:
+            self._python = shutil.which(python) or str(python.absolute())
         script = Path(__file__).with_name(f"{target}_child.py")
         self._said = tempfile.TemporaryFile()  # noqa: SIM115  # closed with the process
         env = os.environ | dict.fromkeys(BLAS_THREADS, "1")

@@ -13,12 +13,15 @@ import pytest
 
 import deformscope as ds
 from deformscope.cli import main
+from deformscope.recording.items import read_results
+from deformscope.stages.map.exploration import TouchEstimate
 from tests.cases import Capture, Patch
 from tests.stages.pokes import SPACING, THICKNESS, poked
 
 STAND_IN = Path(__file__).with_name("fake_target.py")
 WITH_TARGETS = os.environ.get("DEFORMSCOPE_TARGETS_PYTHON", sys.executable)
 """An interpreter that may have MuJoCo."""
+SHIPPED = Path(__file__).resolve().parents[2] / "recordings" / "explore.rrd"
 QUIET = ("--viewer", "none")
 
 
@@ -98,6 +101,20 @@ def test_the_meshes_for_others_hold_the_body_and_its_fields(folder: Path) -> Non
     assert np.min(corners) == 1
 
 
+def test_a_recording_has_its_own_pokes(folder: Path, capsys: Capture) -> None:
+    """Each touch at three depths, and the surface around it in heights alone."""
+    flags = ["--in", "mujoco", "--python", str(folder / "python"), "--tip", "sphere:0.02", "--vertices", "300", *QUIET]
+    assert main(["simulate", str(SHIPPED), *flags, "--out", str(folder / "touched"), "--json", "-"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    touches = [row.item for row in read_results(SHIPPED, (TouchEstimate,))]
+    assert [one["name"] for one in told["pokes"]] == [f"touch {one.number}" for one in touches]
+    for poke, touch in zip(told["pokes"], touches, strict=True):
+        assert poke["depth_m"][-1] == pytest.approx(touch.depth_m)
+        assert poke["force_n"][-1] == pytest.approx(touch.peak_force_n, rel=0.02)
+        assert poke["msm_force_error"] is None
+    assert told["measured"]["young_pa"] == pytest.approx(np.mean([one.modulus_pa for one in touches]), rel=0.1)
+
+
 @pytest.mark.parametrize(
     ("how", "said"),
     [
@@ -147,9 +164,9 @@ def test_mujoco_repeats_the_pokes_and_loads_the_body_alone(folder: Path, capsys:
     args = command(folder, "--json", "-", "--python", WITH_TARGETS, out="mujoco")
     assert main(args) == 0
     told = json.loads(capsys.readouterr().out)
-    assert told["determined"]["young"]
-    assert told["fitted"]["force_error"] < 0.1
-    assert told["errors_by_run"][-1] < told["errors_by_run"][0]
+    assert told["errors_by_run"][-1] < 0.7 * told["errors_by_run"][0]
+    assert told["fitted"]["force_error"] < 0.15
+    assert told["stable_timestep_s"] >= told["timestep_s"]
     load = "import mujoco, sys; m = mujoco.MjModel.from_xml_path(sys.argv[1]); print(m.nflexvert)"
     alone = [WITH_TARGETS, "-I", "-c", load, str(folder / "mujoco" / "slab.xml")]
     found = subprocess.run(alone, capture_output=True, text=True, check=True, cwd="/")

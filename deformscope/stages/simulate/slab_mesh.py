@@ -38,11 +38,6 @@ class SlabMesh:
         return x, y, z
 
     @property
-    def bottom(self) -> IntArray:
-        """(b,) the glued vertices."""
-        return np.flatnonzero(self.vertices[:, 2] <= self.axes[2][0])
-
-    @property
     def size(self) -> FloatArray:
         """(3,) its sides [m]."""
         return np.array([axis[-1] - axis[0] for axis in self.axes])

@@ -24,6 +24,7 @@ STEPS = np.array([0.1, -0.04, 0.5])
 """Steps of log modulus, Poisson's ratio, log stiffness of contact for the derivatives: above the simulator's noise."""
 LONGEST = np.array([1.5, 0.1, 2.0])
 MOST_ROUNDS, SETTLED = 5, 0.02
+"""Rounds of derivatives and a step; share of the error by which a step must be better for another round."""
 DETERMINED = np.array([0.1, 0.05, 0.7])
 """Standard deviations up to which a parameter is determined."""
 
@@ -87,7 +88,7 @@ Press = Callable[[TargetParameters, Sequence[MeasuredPoke]], list[TargetPoke]]
 @dataclass(frozen=True)
 class TargetFit:
     """The fit. deviation: (3,) standard deviations of the vector's entries; free: those that were fitted; errors: (r,)
-    root mean square of the weighted residuals after each run that was better; converged: the steps became small"""
+    root mean square of the weighted residuals after each run that was better; converged: the last step helped little"""
 
     parameters: TargetParameters
     deviation: FloatArray
@@ -161,7 +162,7 @@ def fit_target(
                 if converged := damping > 1.0:
                     break
                 continue
-            converged = bool((np.abs(trial - at) <= SETTLED * np.array([1.0, 0.5, 10.0])).all())
+            converged = tried.rms > (1.0 - SETTLED) * best.rms
             at, best, damping = trial, tried, 0.3 * damping
             errors.append(best.rms)
             if converged:

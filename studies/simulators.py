@@ -1,0 +1,162 @@
+"""`python -m studies simulators`: finite element slabs in other simulators, before and after `deformscope simulate`.
+
+python -m studies simulators --python with-mujoco/bin/python
+python -m studies simulators --python with-mujoco/bin/python --cases 1 --vertices 500 1000 2000 --timestep-s 0.005 0.01
+
+A linear slab of 30 mm, glued to the ground, is pressed by a flat tip of 30 mm to 1, 2 and 3 mm. Two of these pokes are
+fitted, the third is the test. One more presses elsewhere, where the mesh lies otherwise under the tip.
+"""
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from tyro.conf import arg
+
+import deformscope as ds
+from deformscope.arrays import FloatArray
+from deformscope.config import flags
+from deformscope.files.model_file import save_model
+from deformscope.lab.slab import RigidTip, Slab, press
+from deformscope.pictures.report import Table
+from deformscope.stages.msm.poke import Law, Tip
+from deformscope.stages.poke.fitted import FittedModel
+from studies.runner import Study, StudyOptions, StudyReport, Trials
+
+CASES = (
+    *((50e3, 0.3), (5e3, 0.2), (200e3, 0.45), (20e3, 0.45), (100e3, 0.2), (50e3, 0.45)),
+    *((5e3, 0.45), (200e3, 0.2), (20e3, 0.3), (100e3, 0.4), (10e3, 0.3), (150e3, 0.35)),
+)
+"""Young's modulus [Pa] and Poisson's ratio of each slab."""
+SIDE, THICKNESS, HALF = 0.14, 0.03, 0.015
+DEPTHS = (0.001, 0.002, 0.003)
+HERE, ELSEWHERE = (0.07, 0.07), (0.073, 0.066)
+
+
+@dataclass(frozen=True, slots=True)
+class SlabCase:
+    """One slab, and how it is simulated."""
+
+    young: float
+    poisson: float
+    vertices: int
+    timestep_s: float
+    python: Path | None
+
+
+@dataclass(frozen=True, slots=True)
+class SlabOutcome:
+    """found: the JSON of the command; elsewhere: relative error of the force at the other place, with the fitted
+    parameters"""
+
+    case: SlabCase
+    found: dict[str, object]
+    elsewhere: float
+
+
+def _pair(path: Path, dent: FloatArray, points: FloatArray, force: float, at: tuple[float, float]) -> Path:
+    held = np.flatnonzero((np.abs(points[:, :2] - at) <= HALF + 1e-9).all(axis=1))
+    tip = {"tip": "flat", "tip_size_m": [2 * HALF] * 2, "tip_at_m": [*at, THICKNESS]}
+    arrays = {name: np.asarray(value) for name, value in tip.items()}
+    np.savez(path, rest=points, deformed=points + dent, held=held, contact=held, force_n=np.array(force), **arrays)
+    return path
+
+
+def try_slab(case: SlabCase) -> SlabOutcome:
+    """Press a slab of finite elements, and repeat that in MuJoCo."""
+    slab, tip = Slab((SIDE, SIDE, THICKNESS), case.young, case.poisson), RigidTip((HALF, HALF))
+    points = slab.grid(0.01)
+    with tempfile.TemporaryDirectory() as name:
+        folder, pairs = Path(name), []
+        for place in (HERE, ELSEWHERE):
+            unit = press(slab, place, tip, points, depth=1e-3, finest=0.006)
+            for depth in DEPTHS if place is HERE else DEPTHS[1:2]:
+                path = folder / f"{len(pairs)}.npz"
+                share = depth / 1e-3
+                pairs.append(_pair(path, share * unit.displaced, points, share * unit.force, place))
+        model = FittedModel(
+            body="layers",
+            rest=points,
+            law=Law(0.5),
+            spacing=0.01,
+            toward=np.array([0.0, 0.0, -1.0]),
+            tip=Tip("flat", (2 * HALF, 2 * HALF)),
+            thickness=THICKNESS,
+        )
+        save_model(model, folder / "model.npz")
+        common = {"target": "mujoco", "python": case.python, "vertices": case.vertices}
+        common |= {"timestep_s": case.timestep_s, "out": folder / "body"}
+        found = ds.simulate(folder / "model.npz", against=pairs, held_out=2, **common)
+        told = found.to_dict()
+        assert isinstance(told["pokes"], list)
+        elsewhere = next(one for one in told["pokes"] if one["name"] == str(pairs[-1]))
+    return SlabOutcome(case, told, float(elsewhere["force_error"]))
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatorsConfig(StudyOptions):
+    """Fit MuJoCo to slabs of finite elements whose modulus is known."""
+
+    cases: Annotated[int, flags.least(1)] = 12
+    """Slabs, each a minute or more for each setting."""
+    vertices: Annotated[tuple[int, ...], arg(metavar="INT...")] = (500,)
+    """About how many vertices the body has."""
+    timestep_s: Annotated[tuple[float, ...], arg(metavar="SECONDS...")] = (0.005,)
+    """Time steps."""
+    python: Annotated[Path | None, flags.one_word("PYTHON", Path), flags.unset] = None
+    """The interpreter with MuJoCo; default: this one."""
+
+
+def trials(options: SimulatorsConfig) -> list[Trials[SlabCase, SlabOutcome]]:
+    cases = [
+        SlabCase(young, poisson, vertices, step, options.python)
+        for young, poisson in CASES[: options.cases]
+        for vertices in options.vertices
+        for step in options.timestep_s
+    ]
+    return [Trials("slabs", try_slab, cases)]
+
+
+def report(options: SimulatorsConfig, seconds: float, outcomes: Sequence[SlabOutcome]) -> StudyReport:
+    names = ("E [kPa]", "nu", "vertices", "step [ms]", "E needed [kPa]", "nu fitted", "determined", "force typed in")
+    names += ("force fitted", "unseen depth", "elsewhere", "dent of the depth", "ms a step", "s")
+    rows = [_row(one) for one in outcomes]
+    version = outcomes[0].found["version"] if outcomes else ""
+    return StudyReport([Table(rows, names, f"MuJoCo {version}, {seconds:.0f} s")], {"slabs": outcomes})
+
+
+def _row(one: SlabOutcome) -> tuple[str, ...]:
+    found: dict[str, object] = one.found
+    pokes, needed = found["pokes"], found["needed"]
+    assert isinstance(pokes, list)
+    assert isinstance(needed, dict)
+    here = pokes[:3]
+    fitted, unseen = ([one for one in here if one["held_out"] == held] for held in (False, True))
+    determined = found["determined"]
+    assert isinstance(determined, dict)
+    return (
+        f"{one.case.young / 1e3:g}",
+        f"{one.case.poisson:g}",
+        f"{found['vertices']}",
+        f"{1e3 * one.case.timestep_s:g}",
+        f"{needed['young_pa'] / 1e3:.3g}",
+        f"{needed['poisson']:.2f}",
+        " ".join(name for name, known in determined.items() if known) or "none",
+        f"{np.mean([one['force_error_before'] for one in here]):+.0%}",
+        f"{_rms([one['force_error'] for one in fitted]):.1%}",
+        f"{_rms([one['force_error'] for one in unseen]):.1%}" if unseen else "",
+        f"{one.elsewhere:+.0%}",
+        f"{_rms([one['dent_error'] for one in here]):.0%}",
+        f"{1e3 * float(str(found['seconds_per_step'])):.0f}",
+        f"{float(str(found['seconds'])):.0f}",
+    )
+
+
+def _rms(values: Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+STUDY = Study(SimulatorsConfig, trials, report)

@@ -1,0 +1,33 @@
+"""Slabs of finite elements in MuJoCo."""
+
+from pathlib import Path
+
+import pytest
+
+from studies.simulators import CASES, SimulatorsConfig, SlabCase, SlabOutcome, report, trials, try_slab
+from tests.cli.test_simulate_command import WITH_TARGETS, has
+
+
+def test_a_line_of_each_slab_and_setting() -> None:
+    options = SimulatorsConfig(cases=2, vertices=(500, 1000))
+    (slabs,) = trials(options)
+    assert [(one.young, one.vertices) for one in slabs.cases] == [
+        (young, vertices) for young, _ in CASES[:2] for vertices in (500, 1000)
+    ]
+    poke = {"force_error": 0.03, "force_error_before": 0.5, "dent_error": 0.2, "held_out": False}
+    found = {"version": "4.0.0", "vertices": 484, "needed": {"young_pa": 3e4, "poisson": 0.3}, "seconds": 60.0}
+    found |= {"determined": {"young": True, "poisson": False, "contact": False}, "seconds_per_step": 0.03}
+    found |= {"pokes": [poke, poke | {"held_out": True, "force_error": -0.01}, poke, poke]}
+    (table,) = report(options, 1.0, [SlabOutcome(slabs.cases[0], found, 0.12)]).tables
+    assert len(table.names) == len(table.rows[0])
+    assert table.rows[0][4:11] == ("30", "0.30", "young", "+50%", "3.0%", "1.0%", "+12%")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not has("mujoco"), reason="needs mujoco, or DEFORMSCOPE_TARGETS_PYTHON with it")
+def test_an_unseen_depth_is_within_5_percent_after_the_fit() -> None:
+    found = try_slab(SlabCase(50e3, 0.3, 500, 0.005, Path(WITH_TARGETS))).found
+    pokes = found["pokes"]
+    assert isinstance(pokes, list)
+    assert abs(pokes[1]["force_error"]) < 0.05
+    assert pokes[1]["force_error_before"] > 0.2
