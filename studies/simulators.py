@@ -44,7 +44,7 @@ class SlabCase:
     poisson: float
     vertices: int
     timestep_s: float
-    python: Path | None
+    python: str | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +61,7 @@ def _pair(path: Path, dent: FloatArray, points: FloatArray, force: float, at: tu
     held = np.flatnonzero((np.abs(points[:, :2] - at) <= HALF + 1e-9).all(axis=1))
     tip = {"tip": "flat", "tip_size_m": [2 * HALF] * 2, "tip_at_m": [*at, THICKNESS]}
     arrays = {name: np.asarray(value) for name, value in tip.items()}
-    np.savez(path, rest=points, deformed=points + dent, held=held, contact=held, force_n=np.array(force), **arrays)
+    np.savez(path, rest=points, deformed=points + dent, held=held, contact=held, force_n=np.array(force), **arrays)  # type: ignore[arg-type]  # numpy's stub
     return path
 
 
@@ -70,7 +70,7 @@ def try_slab(case: SlabCase) -> SlabOutcome:
     slab, tip = Slab((SIDE, SIDE, THICKNESS), case.young, case.poisson), RigidTip((HALF, HALF))
     points = slab.grid(0.01)
     with tempfile.TemporaryDirectory() as name:
-        folder, pairs = Path(name), []
+        folder, pairs = Path(name), list[Path]()
         for place in (HERE, ELSEWHERE):
             unit = press(slab, place, tip, points, depth=1e-3, finest=0.006)
             for depth in DEPTHS if place is HERE else DEPTHS[1:2]:
@@ -87,9 +87,16 @@ def try_slab(case: SlabCase) -> SlabOutcome:
             thickness=THICKNESS,
         )
         save_model(model, folder / "model.npz")
-        common = {"target": "mujoco", "python": case.python, "vertices": case.vertices}
-        common |= {"timestep_s": case.timestep_s, "out": folder / "body"}
-        found = ds.simulate(folder / "model.npz", against=pairs, held_out=2, **common)
+        found = ds.simulate(
+            folder / "model.npz",
+            out=folder / "body",
+            against=pairs,
+            held_out=2,
+            target="mujoco",
+            python=case.python,
+            vertices=case.vertices,
+            timestep_s=case.timestep_s,
+        )
         told = found.to_dict()
         assert isinstance(told["pokes"], list)
         elsewhere = next(one for one in told["pokes"] if one["name"] == str(pairs[-1]))
@@ -112,7 +119,7 @@ class SimulatorsConfig(StudyOptions):
 
 def trials(options: SimulatorsConfig) -> list[Trials[SlabCase, SlabOutcome]]:
     cases = [
-        SlabCase(young, poisson, vertices, step, options.python)
+        SlabCase(young, poisson, vertices, step, options.python and str(options.python))
         for young, poisson in CASES[: options.cases]
         for vertices in options.vertices
         for step in options.timestep_s
@@ -121,8 +128,10 @@ def trials(options: SimulatorsConfig) -> list[Trials[SlabCase, SlabOutcome]]:
 
 
 def report(options: SimulatorsConfig, seconds: float, outcomes: Sequence[SlabOutcome]) -> StudyReport:
-    names = ("E [kPa]", "nu", "vertices", "step [ms]", "E needed [kPa]", "nu fitted", "determined", "force typed in")
-    names += ("force fitted", "unseen depth", "elsewhere", "dent of the depth", "ms a step", "s")
+    names = (
+        *("E [kPa]", "nu", "vertices", "step [ms]", "E needed [kPa]", "nu fitted", "determined", "force typed in"),
+        *("force fitted", "unseen depth", "elsewhere", "dent of the depth", "ms a step", "s"),
+    )
     rows = [_row(one) for one in outcomes]
     version = outcomes[0].found["version"] if outcomes else ""
     return StudyReport([Table(rows, names, f"MuJoCo {version}, {seconds:.0f} s")], {"slabs": outcomes})

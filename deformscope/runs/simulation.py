@@ -1,7 +1,7 @@
 """A measured slab in another simulator: written, pressed there, and its parameters fitted to the pokes."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
@@ -44,7 +44,7 @@ from deformscope.stages.simulate.target_fit import (
     surface_moved,
     target_score,
 )
-from deformscope.terminal import Progress, say, until_interrupted
+from deformscope.terminal import Interruption, Progress, say, until_interrupted
 
 TARGET = "#2a9d4a"
 POISSON, CONTACT = 0.3, 1e5
@@ -53,6 +53,7 @@ DEPTHS = (0.4, 0.7, 1.0)
 """Shares of a touch's depth at which its force is compared."""
 SLOWER, STEPS_TRIED, STABLE = 2.0, 5, 0.05
 """Longer time steps are tried until the force changes by more than this share."""
+ANSWERED = ("force_n", "penetration_m", "rest_m", "moved_m")
 MOST_POINTS = 4000
 LEVEL = 0.9
 """Least upward part of a touch's normal."""
@@ -230,22 +231,14 @@ def simulate(config: SimulateConfig, progress: Progress | None = None) -> Simula
         if target.version != TRIED[config.target]:
             say(f"{config.target} {target.version} was not tried with this program: {TRIED[config.target]} was")
 
-        def keep_on() -> bool:
-            return not asked.is_set() and time.monotonic() - began < config.limit_s
-
-        runs = _Runs(target, config, mesh, keep_on)
-        try:
-            first = runs.press(start, pokes)
-        except Stopped:
-            if asked.is_set():
-                raise KeyboardInterrupt from None
-            raise InputError("time for one run of all pokes", f"{config.limit_s:g} s", "a longer --limit-s") from None
+        runs = _Runs(target, config, mesh, began, asked)
+        first = runs.press(start, pokes, anyway=True)
         free = (True, config.poisson is None, True)
         cost = (time.monotonic() - began) * len(fitted) / len(pokes)
         say(f"{len(mesh.vertices)} vertices: a run of all pokes takes some {cost:.0f} s, the fit 8 to 21 runs")
         note = progress or (lambda what, done, total: None)
         found = fit_target(mesh, fitted, runs.press, start, free, lambda done, total: note("runs", done, total))
-        last = runs.last(found.parameters, pokes, first)
+        last = runs.press(found.parameters, pokes, anyway=True)
         stable = runs.stable_step(found.parameters, pokes, last)
     body = write_body(config.out, mesh, found.parameters, config.density, config.timestep_s)
     write_meshes(config.out, mesh, last[-1].moved, found.parameters)
@@ -278,70 +271,57 @@ def simulate(config: SimulateConfig, progress: Progress | None = None) -> Simula
 
 
 class _Runs:
-    """Runs of the target: the body is written with given parameters, and pressed."""
+    """Runs of the target: the body is written once, and pressed with given parameters."""
 
     def __init__(
-        self, target: TargetProcess, config: SimulateConfig, mesh: SlabMesh, keep_on: Callable[[], bool]
+        self, target: TargetProcess, config: SimulateConfig, mesh: SlabMesh, began: float, asked: Interruption
     ) -> None:
-        self._target, self._config, self._mesh, self._keep_on = target, config, mesh, keep_on
-        self._body: Path | None = None
+        self._target, self._config, self._began, self._asked = target, config, began, asked
+        start = TargetParameters(1e4, POISSON, CONTACT)
+        self._body = write_body(config.out, mesh, start, config.density, config.timestep_s)
         self._known: dict[tuple[TargetParameters, str], TargetPoke] = {}
 
-    def press(self, parameters: TargetParameters, pokes: Sequence[MeasuredPoke]) -> list[TargetPoke]:
-        """Raises Stopped where time or a person ended it, and InputError with the target's error."""
+    def press(
+        self, parameters: TargetParameters, pokes: Sequence[MeasuredPoke], *, anyway: bool = False
+    ) -> list[TargetPoke]:
+        """Raises Stopped where time or a person ended the fit, unless `anyway`; InputError with the target's error."""
         left = [one for one in pokes if (parameters, one.name) not in self._known]
         try:
-            for poke, answer in zip(left, self._press(parameters, left, self._config.timestep_s), strict=True):
+            for poke, answer in zip(left, self._press(parameters, left, anyway=anyway), strict=True):
                 self._known[parameters, poke.name] = answer
-            return [self._known[parameters, one.name] for one in pokes]
         except TargetFailed as error:
-            if not self._keep_on():
-                raise Stopped from None
-            came = f"{self._config.target} {self._target.version}: {error}"
-            hint = f"a shorter --timestep-s, or {self._config.target} {TRIED[self._config.target]}"
-            raise InputError("the target to press the body", came, hint) from None
+            target = self._config.target
+            hint = f"a shorter --timestep-s, a longer --limit-s, or {target} {TRIED[target]}"
+            raise InputError(
+                "the target to press the body", f"{target} {self._target.version}: {error}", hint
+            ) from None
+        return [self._known[parameters, one.name] for one in pokes]
 
     def _press(
-        self, parameters: TargetParameters, pokes: Sequence[MeasuredPoke], timestep_s: float
+        self,
+        parameters: TargetParameters,
+        pokes: Sequence[MeasuredPoke],
+        timestep_s: float | None = None,
+        *,
+        anyway: bool = False,
     ) -> list[TargetPoke]:
-        config = self._config
-        if not self._keep_on():
+        passed_s, limit_s = time.monotonic() - self._began, self._config.limit_s
+        if not anyway and (self._asked.is_set() or passed_s > limit_s):
             raise Stopped
-        if self._body is None:
-            self._body = write_body(config.out, self._mesh, parameters, config.density, config.timestep_s)
-        asked = [
-            {
-                "at_m": poke.seen.at[:2].tolist(),
-                "tip": poke.seen.tip.shape,
-                "size_m": list(poke.seen.tip.size),
-                "slips": poke.seen.tip.slips,
-                "depth_m": poke.depth.tolist(),
-            }
-            for poke in pokes
-        ]
-        request = {"do": "press", "asset": str(self._body.resolve()), "pokes": asked, "timestep_s": timestep_s}
-        request |= {"parameters": {name: getattr(parameters, name) for name in NAMES}}
-        return [
-            TargetPoke(
-                np.array(one["force_n"]),
-                np.array(one["penetration_m"]),
-                np.array(one["rest_m"]),
-                np.array(one["moved_m"]),
-                float(one["step_s"]),
-                float(one["unsettled"]),
-            )
-            for one in self._target.ask(request, self._keep_on)
-        ]
-
-    def last(
-        self, parameters: TargetParameters, pokes: Sequence[MeasuredPoke], first: list[TargetPoke]
-    ) -> list[TargetPoke]:
-        """All pokes with the fitted parameters; those of the first run where time is over."""
-        try:
-            return self.press(parameters, pokes)
-        except Stopped:
-            say("stopped: the answers are those of the measured modulus")
-            return first
+        until = time.monotonic() + max(limit_s, 2.0 * passed_s)  # a target that hangs does not answer
+        asked: list[Json] = []
+        for one in pokes:
+            tip = one.seen.tip
+            where: Json = {"at_m": one.seen.at[:2], "tip": tip.shape, "size_m": tip.size, "slips": tip.slips}
+            asked.append(where | {"depth_m": one.depth})
+        request: Json = {"do": "press", "asset": self._body.resolve(), "pokes": asked, "parameters": parameters}
+        request |= {"timestep_s": timestep_s or self._config.timestep_s}
+        answers = self._target.ask(cast("Json", plain(request)), lambda: time.monotonic() < until)
+        found = []
+        for one in answers:
+            force, inside, rest, moved = (np.array(one[name]) for name in ANSWERED)
+            found.append(TargetPoke(force, inside, rest, moved, float(one["step_s"])))
+        return found
 
     def stable_step(
         self, parameters: TargetParameters, pokes: Sequence[MeasuredPoke], last: Sequence[TargetPoke]

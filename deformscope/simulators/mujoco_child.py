@@ -6,7 +6,7 @@
     {"do": "press", "asset": "slab.xml", "parameters": {"young", "poisson", "contact"}, "timestep_s", "pokes":
       [{"at_m": [x, y], "tip": "sphere" | "disc" | "flat", "size_m": [...], "slips": true, "depth_m": [...]}]}
       ->  a line for each poke: {"force_n": [...], "penetration_m": [...], "rest_m": [[x, y, z]...], "moved_m": [...],
-          "step_s": seconds a step, "unsettled": relative change of the last force}
+          "step_s": seconds a step}
 
 or {"error": "one line"}. A tip is a mocap body that sinks into the slab step by step; the force is that of its contacts
 along z, when it no longer changes; `moved_m` are the vertices under the deepest poke less those at rest, which lie as
@@ -76,7 +76,7 @@ def press(asked: dict[str, Any]) -> Iterator[dict[str, Any]]:
         rest = data.flexvert_xpos.copy()
         aside = np.linalg.norm(rest[:, :2] - poke["at_m"], axis=1)
         touching = float(rest[aside <= aside.min() + 1e-6, 2].max()) + above
-        forces, depths, now, at, steps, change = [], [], np.zeros(2), 0.0, 0, 0.0
+        forces, depths, now, at, steps = [], [], np.zeros(2), 0.0, 0
         began = time.perf_counter()
         for depth in poke["depth_m"]:
             found: list[tuple[float, float]] = []
@@ -85,8 +85,7 @@ def press(asked: dict[str, Any]) -> Iterator[dict[str, Any]]:
                 data.mocap_pos[0] = [*poke["at_m"], touching - sunk]
                 found.append(step())
                 now, before = (np.mean(found[-AVERAGED * n :][:AVERAGED], axis=0) for n in (1, 2))
-                change = float(abs(now[0] - before[0]) / max(now[0], 1e-12))
-                if len(found) >= RAMP + 2 * AVERAGED and change <= STILL:
+                if len(found) >= RAMP + 2 * AVERAGED and abs(now[0] - before[0]) <= STILL * now[0]:
                     break
             forces.append(float(now[0]))
             depths.append(float(now[1]))
@@ -97,7 +96,6 @@ def press(asked: dict[str, Any]) -> Iterator[dict[str, Any]]:
             "rest_m": rest.tolist(),
             "moved_m": (data.flexvert_xpos - rest).tolist(),
             "step_s": (time.perf_counter() - began) / steps,
-            "unsettled": change,
         }
 
 

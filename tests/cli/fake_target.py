@@ -1,6 +1,6 @@
 """Stands in for a simulator's process: a slab that answers as a spring, proportional to its modulus.
 
-FAKE_TARGET says how it misbehaves: missing, crash, garbage, error, hang."""
+FAKE_TARGET says how it misbehaves: missing, crash, garbage, error, hang, slow."""
 
 import json
 import os
@@ -15,6 +15,7 @@ SOFTER = 0.8
 
 def main() -> None:
     for line in sys.stdin:
+        time.sleep(0.7 if HOW == "slow" else 0.0)
         asked = json.loads(line)
         if asked["do"] == "version":
             print(json.dumps({"error": "no module"} if HOW == "missing" else {"version": "0.0.1"}), flush=True)
@@ -29,7 +30,7 @@ def main() -> None:
         if HOW == "error":
             print(json.dumps({"error": "ValueError: unknown attribute 'dof'"}), flush=True)
         given = asked["parameters"]
-        for poke in asked["pokes"] if not HOW else ():
+        for poke in asked["pokes"] if HOW in ("", "slow") else ():
             area = poke["size_m"][0] * poke["size_m"][-1]
             force = [SOFTER * given["young"] * area / 0.03 * depth for depth in poke["depth_m"]]
             rest = vertices_of(asked["asset"])
@@ -42,7 +43,6 @@ def main() -> None:
                         "rest_m": rest,
                         "moved_m": moved,
                         "step_s": 0.001,
-                        "unsettled": 0.0,
                     }
                 ),
                 flush=True,

@@ -140,6 +140,16 @@ def test_a_target_that_hangs_is_ended_by_the_time_limit(folder: Path, monkeypatc
     assert "--limit-s" in capsys.readouterr().err
 
 
+def test_the_time_limit_leaves_the_best_fit_so_far(folder: Path, monkeypatch: Patch, capsys: Capture) -> None:
+    """A run takes .7 s. All pokes are pressed once more with what was fitted until then."""
+    monkeypatch.setenv("FAKE_TARGET", "slow")
+    assert main(command(folder, "--limit-s", "4", "--json", "-")) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["converged"] is False
+    assert told["stable_timestep_s"] is None
+    assert all(one["target_force_n"] for one in told["pokes"])
+
+
 def test_bad_input_is_one_line(folder: Path, capsys: Capture) -> None:
     model, out = str(folder / "model.npz"), ["--in", "mujoco", "--out", str(folder / "bad"), *QUIET]
     pair = str(folder / "poke0.npz")

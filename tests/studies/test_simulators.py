@@ -1,7 +1,5 @@
 """Slabs of finite elements in MuJoCo."""
 
-from pathlib import Path
-
 import pytest
 
 from studies.simulators import CASES, SimulatorsConfig, SlabCase, SlabOutcome, report, trials, try_slab
@@ -26,7 +24,7 @@ def test_a_line_of_each_slab_and_setting() -> None:
 @pytest.mark.slow
 @pytest.mark.skipif(not has("mujoco"), reason="needs mujoco, or DEFORMSCOPE_TARGETS_PYTHON with it")
 def test_an_unseen_depth_is_within_5_percent_after_the_fit() -> None:
-    found = try_slab(SlabCase(50e3, 0.3, 500, 0.005, Path(WITH_TARGETS))).found
+    found = try_slab(SlabCase(50e3, 0.3, 500, 0.005, WITH_TARGETS)).found
     pokes = found["pokes"]
     assert isinstance(pokes, list)
     assert abs(pokes[1]["force_error"]) < 0.05

@@ -16,6 +16,8 @@ from deformscope.stages.poke.poke_fit import SeenPoke
 REACH_SHARE, REACH_TIPS = 1.1, 0.25
 """The slab goes this many thicknesses, and tip sizes, beyond the pokes: there the surface is quiet."""
 FEWEST_LAYERS, MOST_VERTICES = 3, 20_000
+FILLED = 0.7
+"""Cells per vertex of a slab, about."""
 HOLE_SPACINGS = 3.0
 """A place of the slab this many spacings from all points of the surface is a hole in it."""
 
@@ -93,7 +95,7 @@ def slab_around(surface: MeasuredSurface, pokes: Sequence[SeenPoke], spacing: fl
     high = np.minimum((places + reach).max(axis=0), surface.points[:, :2].max(axis=0))
     top = float(np.median(surface.points[:, 2]))
     sides = np.array([*(high - low), surface.thickness])
-    fine = spacing or _spacing(sides, vertices)
+    fine = spacing or float(np.cbrt(sides.prod() / (FILLED * vertices)))
     count = [max(2, round(side / fine)) for side in sides[:2]]
     layers = max(FEWEST_LAYERS, round(surface.thickness / fine))
     total = (count[0] + 1) * (count[1] + 1) * (layers + 1)
@@ -106,13 +108,3 @@ def slab_around(surface: MeasuredSurface, pokes: Sequence[SeenPoke], spacing: fl
         came = f"no points within {1e3 * away[hole]:.3g} mm of ({upper[hole, 0]:.3g}, {upper[hole, 1]:.3g}) m"
         raise InputError("a surface without a hole around the pokes", came, "pokes away from it")
     return slab_mesh((x, y, np.linspace(top - surface.thickness, top, layers + 1)))
-
-
-def _spacing(sides: FloatArray, vertices: int) -> float:
-    """Size of the cells of a box with sides (3,) that has about this number of vertices [m]."""
-    fine, coarse = 1e-3 * float(sides.min()), float(sides.max())
-    for _ in range(50):
-        middle = float(np.sqrt(fine * coarse))
-        many = np.prod(np.maximum(sides / middle, [2, 2, FEWEST_LAYERS]) + 1.0) > vertices
-        fine, coarse = (middle, coarse) if many else (fine, middle)
-    return coarse

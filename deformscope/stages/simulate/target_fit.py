@@ -71,15 +71,13 @@ class MeasuredPoke:
 @dataclass(frozen=True)
 class TargetPoke:
     """The simulator's answer. force: (n,) [N] and penetration: (n,) [m] at the depths; rest, moved: (k, 3) vertices and
-    their displacement at the greatest depth [m]; step_s: seconds that a step took; unsettled: relative change of the
-    last force"""
+    their displacement at the greatest depth [m]; step_s: seconds that a step took"""
 
     force: FloatArray
     penetration: FloatArray
     rest: FloatArray
     moved: FloatArray
     step_s: float = 0.0
-    unsettled: float = 0.0
 
 
 Press = Callable[[TargetParameters, Sequence[MeasuredPoke]], list[TargetPoke]]
