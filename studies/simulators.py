@@ -119,7 +119,7 @@ class SimulatorsConfig(StudyOptions):
 
 def trials(options: SimulatorsConfig) -> list[Trials[SlabCase, SlabOutcome]]:
     cases = [
-        SlabCase(young, poisson, vertices, step, options.python and str(options.python))
+        SlabCase(young, poisson, vertices, step, None if options.python is None else str(options.python))
         for young, poisson in CASES[: options.cases]
         for vertices in options.vertices
         for step in options.timestep_s

@@ -47,14 +47,13 @@ from deformscope.stages.simulate.target_fit import (
 from deformscope.terminal import Interruption, Progress, say, until_interrupted
 
 TARGET = "#2a9d4a"
-POISSON, CONTACT = 0.3, 1e5
-"""Start of the fit."""
+POISSON, CONTACT = 0.3, 2.0
+"""Start of the fit: Poisson's ratio, and the stiffness of contact per modulus."""
 DEPTHS = (0.4, 0.7, 1.0)
 """Shares of a touch's depth at which its force is compared."""
 SLOWER, STEPS_TRIED, STABLE = 2.0, 5, 0.05
 """Longer time steps are tried until the force changes by more than this share."""
 ANSWERED = ("force_n", "penetration_m", "rest_m", "moved_m")
-MOST_POINTS = 4000
 LEVEL = 0.9
 """Least upward part of a touch's normal."""
 
@@ -223,8 +222,9 @@ def simulate(config: SimulateConfig, progress: Progress | None = None) -> Simula
     mesh = slab_around(surface, [one.seen for one in pokes], config.spacing_m, config.vertices)
     test = _held_out(pokes, config.held_out)
     fitted = [one for one in pokes if not any(one is other for other in test)]
-    start = TargetParameters(0.0, POISSON if config.poisson is None else config.poisson, CONTACT)
-    start = replace(start, young=_modulus(fitted, surface.thickness, start.poisson))
+    poisson = POISSON if config.poisson is None else config.poisson
+    young = _modulus(fitted, surface.thickness, poisson)
+    start = TargetParameters(young, poisson, CONTACT * young)
     make_folder(config.out)
     settings = {"command": "simulate", **cast("dict[str, object]", plain(config))}
     with target_process(config.target, config.python) as target, until_interrupted() as asked:
@@ -277,7 +277,7 @@ class _Runs:
         self, target: TargetProcess, config: SimulateConfig, mesh: SlabMesh, began: float, asked: Interruption
     ) -> None:
         self._target, self._config, self._began, self._asked = target, config, began, asked
-        start = TargetParameters(1e4, POISSON, CONTACT)
+        start = TargetParameters(1e4, POISSON, 1e4)
         self._body = write_body(config.out, mesh, start, config.density, config.timestep_s)
         self._known: dict[tuple[TargetParameters, str], TargetPoke] = {}
 
@@ -318,9 +318,9 @@ class _Runs:
         request |= {"timestep_s": timestep_s or self._config.timestep_s}
         answers = self._target.ask(cast("Json", plain(request)), lambda: time.monotonic() < until)
         found = []
-        for one in answers:
-            force, inside, rest, moved = (np.array(one[name]) for name in ANSWERED)
-            found.append(TargetPoke(force, inside, rest, moved, float(one["step_s"])))
+        for answer in answers:
+            force, inside, rest, moved = (np.array(answer[name]) for name in ANSWERED)
+            found.append(TargetPoke(force, inside, rest, moved, float(answer["step_s"])))
         return found
 
     def stable_step(
@@ -401,7 +401,6 @@ def _of_recording(config: SimulateConfig) -> tuple[MeasuredSurface, list[Measure
     thickness = config.thickness_m or surfaces[-1].layer_m or (float(np.median(known)) if known else None)
     if thickness is None:
         raise InputError("the foam's thickness", "none in the recording", "--thickness-m 0.05", config.source)
-    points = surfaces[-1].points_m
     tip = Tip(cast("Any", config.tip.kind), config.tip.size)
     found = []
     for touch in touches:
@@ -412,6 +411,6 @@ def _of_recording(config: SimulateConfig) -> tuple[MeasuredSurface, list[Measure
         rest = touch.observed_m - moved
         seen = SeenPoke(touch.xyz_m, tip, touch.depth_m, rest, moved, rest, moved, None, float(force[-1]))
         found.append(MeasuredPoke(f"touch {touch.number}", replace(seen, heights_only=True), depth, force))
-    level = float(np.median([one.xyz_m[2] for one in touches]))
-    flat = np.column_stack([points[:, :2], np.full(len(points), level)])[:: len(points) // MOST_POINTS + 1]
-    return MeasuredSurface(flat, thickness), found
+    level, map_ = float(np.median([one.xyz_m[2] for one in touches])), surfaces[-1]
+    y, x = (map_.cell_m * (np.indices(map_.height_m.shape) + 0.5)).reshape(2, -1)
+    return MeasuredSurface(np.column_stack([x, y, np.full(x.size, level)]), thickness), found

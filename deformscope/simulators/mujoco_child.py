@@ -26,6 +26,8 @@ averaged."""
 TILES = 6
 """Boxes along each side of a flat tip. MuJoCo keeps 50 contacts for a geom on such a flex, and few at a box's edges:
 with one box the force depends more on where the flex's vertices are."""
+FARTHEST = 5.0
+"""A vertex that moves this many depths is thrown out."""
 STILL = 1e-3
 """Relative change between averaged forces below which the force no longer changes."""
 
@@ -90,11 +92,16 @@ def press(asked: dict[str, Any]) -> Iterator[dict[str, Any]]:
             forces.append(float(now[0]))
             depths.append(float(now[1]))
             at, steps = depth, steps + len(found)
+        moved = data.flexvert_xpos - rest
+        if np.abs(moved).max() > FARTHEST * at:
+            raise ArithmeticError(
+                f"the slab bursts with steps of {asked['timestep_s']:g} s, or its cells are too coarse"
+            )
         yield {
             "force_n": forces,
             "penetration_m": depths,
             "rest_m": rest.tolist(),
-            "moved_m": (data.flexvert_xpos - rest).tolist(),
+            "moved_m": moved.tolist(),
             "step_s": (time.perf_counter() - began) / steps,
         }
 

@@ -103,8 +103,11 @@ def test_the_meshes_for_others_hold_the_body_and_its_fields(folder: Path) -> Non
 
 def test_a_recording_has_its_own_pokes(folder: Path, capsys: Capture) -> None:
     """Each touch at three depths, and the surface around it in heights alone."""
-    flags = ["--in", "mujoco", "--python", str(folder / "python"), "--tip", "sphere:0.02", "--vertices", "300", *QUIET]
-    assert main(["simulate", str(SHIPPED), *flags, "--out", str(folder / "touched"), "--json", "-"]) == 0
+    flags = ["--in", "mujoco", "--python", str(folder / "python"), "--tip", "sphere:0.02", *QUIET]
+    args = ["simulate", str(SHIPPED), *flags, "--out", str(folder / "touched"), "--json", "-"]
+    assert main(args) == 2
+    assert "0.7 of the tip's width" in capsys.readouterr().err
+    assert main([*args, "--vertices", "6000"]) == 0
     told = json.loads(capsys.readouterr().out)
     touches = [row.item for row in read_results(SHIPPED, (TouchEstimate,))]
     assert [one["name"] for one in told["pokes"]] == [f"touch {one.number}" for one in touches]

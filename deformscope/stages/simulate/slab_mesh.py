@@ -18,6 +18,8 @@ REACH_SHARE, REACH_TIPS = 1.1, 0.25
 FEWEST_LAYERS, MOST_VERTICES = 3, 20_000
 FILLED = 0.7
 """Cells per vertex of a slab, about."""
+COARSEST = 0.7
+"""Largest size of a cell, as a share of the tip's width: a ball passes between the vertices of larger ones."""
 HOLE_SPACINGS = 3.0
 """A place of the slab this many spacings from all points of the surface is a hole in it."""
 
@@ -82,7 +84,7 @@ def slab_around(surface: MeasuredSurface, pokes: Sequence[SeenPoke], spacing: fl
     """The part of a flat slab around pokes, as far as it moves.
 
     spacing: size of its cells [m], None = so that it has about this number of vertices. Raises InputError for a poke
-    outside the surface, for a surface with a hole, and for more vertices than a simulator takes."""
+    outside the surface, for a surface with a hole, for cells too coarse for the tip, and for too many vertices."""
     for poke in pokes:
         corners = poke.at[:2] + poke.tip.half * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
         if not surface.covers(np.vstack([poke.at[None, :2], corners])).all():
@@ -96,6 +98,11 @@ def slab_around(surface: MeasuredSurface, pokes: Sequence[SeenPoke], spacing: fl
     top = float(np.median(surface.points[:, 2]))
     sides = np.array([*(high - low), surface.thickness])
     fine = spacing or float(np.cbrt(sides.prod() / (FILLED * vertices)))
+    narrow = COARSEST * min(poke.tip.width for poke in pokes)
+    if fine > narrow:
+        hint = f"--vertices {np.ceil(sides.prod() / (FILLED * narrow**3)):.0f}, or pokes that are closer together"
+        came = f"{1e3 * fine:.3g} mm"
+        raise InputError(f"cells of at most {1e3 * narrow:.3g} mm, {COARSEST:g} of the tip's width", came, hint)
     count = [max(2, round(side / fine)) for side in sides[:2]]
     layers = max(FEWEST_LAYERS, round(surface.thickness / fine))
     total = (count[0] + 1) * (count[1] + 1) * (layers + 1)
