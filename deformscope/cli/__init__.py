@@ -111,7 +111,6 @@ COMMANDS: dict[str, Command] = {
     "dataset merge": _command("copy trials of other data sets", "MergeConfig", "dataset", "merge"),
     "dataset repair": _command("add recordings that the index lacks", "RepairConfig", "dataset", "repair"),
     "bench": _command("cost of MSM on this machine", "BenchConfig", "bench"),
-    "completion": _command("words that a shell completes with the tabulator key", "CompletionConfig", "completion"),
 }
 """The commands by name; a name of two words (`calibrate beta`) makes a group."""
 

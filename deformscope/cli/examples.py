@@ -68,6 +68,5 @@ EXAMPLES: dict[str, str] = {
     "dataset merge": _TRIAL + "deformscope dataset merge all squeezes",
     "dataset repair": _TRIAL + "deformscope dataset repair squeezes",
     "bench": "deformscope bench --quick --only step,relax",
-    "completion": "deformscope completion bash",
 }
 """By command."""

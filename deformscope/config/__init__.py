@@ -30,7 +30,6 @@ from deformscope.config.rigs import (
     ArmConfig,
     BenchConfig,
     CertifyConfig,
-    CompletionConfig,
     DemoConfig,
     DevicesConfig,
     DiscardRecordingConfig,

@@ -343,18 +343,6 @@ class CertifyConfig(RecordedOptions):
 
 
 @dataclass(frozen=True, slots=True)
-class CompletionConfig(CommandOptions):
-    """Print what makes a shell complete commands, flags, their values, samples and scenes. For bash and zsh, add
-    `eval "$(deformscope completion bash)"` to ~/.bashrc or ~/.zshrc; for fish, write it to
-    ~/.config/fish/completions/deformscope.fish."""
-
-    shell: Annotated[Literal["bash", "zsh", "fish"], Positional]
-    """The shell."""
-    line: Annotated[str | None, flags.one_word("TEXT", str), flags.unset] = None
-    """Print the possible next words of this command line, one on each line; the shell calls this."""
-
-
-@dataclass(frozen=True, slots=True)
 class DemoConfig(RecordedOptions):
     """The main task on simulated devices: an arm maps the stiffness of a table with three materials, by looking and
     touching. It writes runs/demo-<stamp>.rrd, or the file of --record."""

@@ -95,7 +95,7 @@ DATASET = {f"dataset {what}" for what in ("list", "relabel", "discard", "merge",
 BY_ITSELF = {"arm where", "arm home", "arm files", "rig new"}
 ONLY_LOOK = (
     {"devices", "doctor", "verify", "recover", "double", "bench", "export", "discard", "report", "catalog"}
-    | {"new-device", "catalog compare", "completion", "sweep"}
+    | {"new-device", "catalog compare", "sweep"}
     | DATASET
     | BY_ITSELF
 )
@@ -120,6 +120,7 @@ def test_an_existing_recording_is_not_written_over(name: str, tmp_path: Path, ca
         "flow": ["a.png", "b.png", "--out", "f.npz"],
         "indent": ["x.csv", "--tip", "sphere:0.02"],
         "predict": ["m.npz", "--poke", "at=0,0 depth=0.001"],
+        "simulate": ["m.npz", "--in", "mujoco", "--out", "o", "--poke", "at=0,0 depth=0.001"],
         "squeeze": ["lab:containers", "--content", "rice"],
     }
     positional = [] if name == "demo" else ["x.npz"]
