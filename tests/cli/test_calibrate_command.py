@@ -189,7 +189,10 @@ def test_replay_gives_the_recorded_numbers(
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
-        (lambda one: {"value": one.value + 0.02 * (one.interval[1] - one.interval[0])}, "expected the recorded"),
+        (
+            lambda one: {"value": one.value + 0.02 * max(one.interval[1] - one.interval[0], 1e-6)},
+            "expected the recorded",
+        ),
         (lambda one: {"posterior": Posterior(one.posterior.parameter, 2.0 * one.posterior.density)}, "within 0 "),
         (lambda one: {"settings": one.settings | {"device": "another"}}, "identical to"),
     ],

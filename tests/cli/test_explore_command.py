@@ -113,7 +113,11 @@ def test_a_replay_with_another_setting_is_compared(explored: Explored, capsys: C
 
 @pytest.mark.parametrize(
     ("words", "expected"),
-    [("force=2", "KEY one of budget, goal, planner"), ("budget=many", "a value of budget"), ("budget=0", "1 or more")],
+    [
+        ("force=2", "KEY one of budget, goal, threshold"),
+        ("budget=many", "a value of budget"),
+        ("budget=0", "1 or more"),
+    ],
 )
 def test_a_setting_that_is_none_is_refused(words: str, expected: str, explored: Explored, capsys: Capture) -> None:
     assert main(["replay", str(explored.record), "--set", words]) == 2

@@ -103,7 +103,7 @@ def test_pokes_in_other_units_are_refused(folder: Path, capsys: Capture) -> None
         assert main(["calibrate", "beta", str(folder / f"{name}.npz"), "--thickness-m", "0.03", *flags]) == 2
         assert said in capsys.readouterr().err
     assert main(["calibrate", "beta", str(folder / "poke.npz"), "--thickness-m", "30", *flags]) == 2
-    assert "a thickness in metres" in capsys.readouterr().err
+    assert "a --thickness-m below 1 m; got 30" in capsys.readouterr().err
     assert main(["calibrate", "beta", str(folder / "poke.npz"), "--thickness-m", "0.001", *flags]) == 2
     assert "less deep than the 1 mm" in capsys.readouterr().err
 

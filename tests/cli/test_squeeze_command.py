@@ -295,7 +295,7 @@ def rows_of(file: Path, kind: type) -> list[Any]:
         ([], "--content NAME, or --model MODEL"),
         (["--content", "rice", "--dataset", "d"], "--content and --container with --dataset"),
         (["--content", "a/b"], "a name of letters, digits"),
-        (["--content", "rice", "--grasp", "5,0,0"], "--grasp with --place jaco or kuka"),
+        (["--content", "rice", "--grasp", "5,0,0"], "--grasp with the driver of an arm after --place"),
     ],
 )
 def test_what_makes_no_trial_is_refused_in_one_line(given: list[str], expected: str, capsys: Capture) -> None:

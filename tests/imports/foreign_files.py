@@ -429,5 +429,5 @@ KINDS: dict[str, Callable[[Draw, Path], Commands]] = {
 def case(seed: int, folder: Path) -> tuple[str, Commands]:
     """The kind of a case, and its command lines; its files lie in `folder`."""
     draw = Draw(seed)
-    name = draw.choices(list(KINDS), [3, 1, 1, 2, 3, 1, 5, 1, 1])[0]
+    name = draw.choices(list(KINDS), [3, 1, 1, 2, 3, 5, 1, 1])[0]
     return name, KINDS[name](draw, folder)

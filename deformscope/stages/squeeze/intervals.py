@@ -86,7 +86,7 @@ def group_correlation(group: IntArray, log_truth: FloatArray) -> float:
     than one with a single error."""
     size = np.bincount(group)
     count, total = len(size), len(group)
-    if count < 2 or total <= count or not np.ptp(log_truth) > 0.0:
+    if count < 2 or total <= count or not log_truth.max() > log_truth.min():
         return GROUP_CORRELATION
     correlations = (np.arange(50) + 0.5) / 50
     score = scipy.special.ndtri((scipy.stats.rankdata(log_truth) - 0.5) / total)
@@ -95,7 +95,8 @@ def group_correlation(group: IntArray, log_truth: FloatArray) -> float:
     within = max(float(((score - mean[group]) ** 2).sum()) / (total - count), 1e-9)
     alike = (total - float((size**2).sum()) / total) / (count - 1)
     ratio = 1.0 + alike * correlations / (1.0 - correlations)
-    log = scipy.stats.f.logpdf(between / within / ratio, count - 1, total - count) - np.log(ratio)
+    found = max(between / within, 1e-9)  # the density of equal means can be infinite
+    log = scipy.stats.f.logpdf(found / ratio, count - 1, total - count) - np.log(ratio)
     log += (1.0 / GROUP_CORRELATION - 2.0) * np.log1p(-correlations)
     return float(scipy.special.softmax(log) @ correlations)
 

@@ -18,6 +18,7 @@ from deformscope.robot.readings import ArmSample
 from deformscope.robot.setup import CameraView
 from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement
 from deformscope.stages.poke.contact import ArmCompliance
+from studies.kinect import observed_m
 from studies.reproduce.surface_robot import LabRobot
 from tests.cases import Patch, slow
 from tests.cli.quick_scene import use_coarse_maps
@@ -31,7 +32,7 @@ def seen(scene: Scene, hidden: bool) -> SurfaceMeasurement:
     """Through one depth image; hidden: nothing but foam gives a depth, as where a frame or cloth is around it."""
     view = DepthView(scene)
     exact = view.render()
-    depth_m = view.observe(exact, np.random.default_rng(1000)) * view.config.unit_m
+    depth_m = observed_m(exact, np.random.default_rng(1000))
     if hidden:
         depth_m = depth_m * (exact.seen == FOAM)
     lens = view.intrinsics

@@ -82,6 +82,13 @@ def test_without_a_difference_or_a_second_group_the_correlation_is_the_expected_
     assert intervals.group_correlation(np.repeat([0, 1, 2], 2), np.repeat([0.0, 1.0, 2.0], 2)) > 0.5
 
 
+def test_two_groups_with_equal_means_are_hardly_alike() -> None:
+    """The density of no difference between two groups is infinite; a true class may have the probability 0."""
+    group = np.repeat([0, 1], 4)
+    for log_truth in (np.tile([1.0, 2.0, 3.0, 4.0], 2), np.tile([-np.inf, -np.inf, 3.0, 4.0], 2)):
+        assert 0.0 <= intervals.group_correlation(group, log_truth) < intervals.GROUP_CORRELATION
+
+
 @pytest.mark.parametrize("apart", [0.0, 1.0, 3.0])
 def test_new_groups_are_known_as_well_as_the_interval_says(apart: float) -> None:
     """Two classes whose means differ from group to group: the interval of 90 % holds what new groups give, also where
