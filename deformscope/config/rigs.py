@@ -33,7 +33,7 @@ class NewRigConfig(CommandOptions):
     the terminal is asked which driver each has. Nothing moves. The file has comments; `deformscope doctor` then names
     the next step. If no device is found, it has an example of each."""
 
-    rig: Annotated[Path, Positional, arg(metavar="RIG.toml"), flags.Writes(replace=False)]
+    rig: Annotated[Path, Positional, arg(metavar="RIG.toml"), flags.Writes()]
     """The new file."""
     device: Annotated[
         UseAppendAction[tuple[str, ...]], arg(metavar="NAME=DRIVER:ADDRESS", help_behavior_hint="(repeatable)")
