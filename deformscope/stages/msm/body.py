@@ -163,22 +163,14 @@ class Operator(ABC):
     def change(self, direction: Field, out: Field, parameters: Parameters, running: Field, kept: object) -> None:
         """J p - p for a direction p of the free particles, where `residual` was last evaluated."""
 
-    def look_ahead(self, u: Field, before: Field, star: Field, motion: object, running: Field) -> None:
-        """x* of the first step, for an operator that `looks_ahead`."""
+    def look_ahead(self, state: Any, motion: object) -> None:
+        """x* of the first step, for an operator that `looks_ahead`. state: `solver.Moving`"""
         raise TypeError("expected an operator that looks ahead")
 
     @abstractmethod
-    def step(
-        self,
-        u: Field,
-        before: Field,
-        star: Field,
-        motion: object,
-        parameters: Parameters,
-        running: Field,
-        ran_away: Field,
-    ) -> None:
-        """One time step; `before` becomes the new displacement, and `star` may become x* of the next step."""
+    def step(self, state: Any, motion: object, parameters: Parameters) -> None:
+        """One time step of a `solver.Moving`: its `before` becomes the new displacement, and its `star` may become x*
+        of the next step."""
 
     @abstractmethod
     def cluster_values(self, values: FloatArray) -> Field:

@@ -164,24 +164,12 @@ class GeneralOperator(Operator):
         self._fit(self.arrays.kernels.fit_changes, direction, parameters, running, kept, GOAL)
         self._finish(direction, direction, self.still, running, out, self._nothing)
 
-    def step(
-        self,
-        u: Field,
-        before: Field,
-        star: Field,
-        motion: object,
-        parameters: Parameters,
-        running: Field,
-        ran_away: Field,
-    ) -> None:
-        self.launch(
-            self.arrays.kernels.predict,
-            self.body.particle_count,
-            [self.lists, u, before, motion, self.arrays.free],
-            [self._star],
-        )
-        self._fit(self.arrays.kernels.fit_clusters, self._star, parameters, running, self.unkept(), GOAL)
-        self._finish(u, self._star, motion, running, before, ran_away)
+    def step(self, state: Any, motion: object, parameters: Parameters) -> None:
+        u, before, star = state.u, state.before, self._star
+        predicted = [self.lists, u, before, motion, self.arrays.free]
+        self.launch(self.arrays.kernels.predict, self.body.particle_count, predicted, [star])
+        self._fit(self.arrays.kernels.fit_clusters, star, parameters, state.running, self.unkept(), GOAL)
+        self._finish(u, star, motion, state.running, before, state.ran_away)
 
     def cluster_values(self, values: FloatArray) -> Field:
         """A beta for each cluster (B, C) as the kernels read them; along each axis (B, C or 1, d): W and C."""

@@ -286,24 +286,17 @@ class LatticeOperator(Operator):
         passes.smoothing = smoothing
         self._launch_passes(passes, running, p, p, p, p, changing=True)
 
-    def look_ahead(self, u: Field, before: Field, star: Field, motion: object, running: Field) -> None:
+    def look_ahead(self, state: Any, motion: object) -> None:
         passes = self._passes(None)
         passes.motion = motion
-        self.launch(self.arrays.kernels.look_ahead, self.grid.items_plane, [passes, running, u, before], [star])
+        inputs = [passes, state.running, state.u, state.before]
+        self.launch(self.arrays.kernels.look_ahead, self.grid.items_plane, inputs, [state.star])
 
-    def step(
-        self,
-        u: Field,
-        before: Field,
-        star: Field,
-        motion: object,
-        parameters: Parameters,
-        running: Field,
-        ran_away: Field,
-    ) -> None:
+    def step(self, state: Any, motion: object, parameters: Parameters) -> None:
         passes = self._passes(parameters)
-        passes.motion, passes.ran_away = motion, ran_away
-        self._launch_passes(passes, running, u, before, star, before, changing=False)
+        passes.motion, passes.ran_away = motion, state.ran_away
+        before = state.before
+        self._launch_passes(passes, state.running, state.u, before, state.star, before, changing=False)
 
     def cluster_values(self, values: FloatArray) -> Field:
         """(B, C) one value for each cluster, as the kernels read them."""

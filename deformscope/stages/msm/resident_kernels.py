@@ -28,7 +28,6 @@ class Resident:
     dim: int
     scalar: Any
     width: int
-    window: int
     lattice: SimpleNamespace
     newton: SimpleNamespace
     meet: Any
@@ -62,7 +61,7 @@ def resident_for(dim: int, scalar: Any, width: int, window: int) -> Resident:
             f.put(newton.parts, (row * newton.groups + group) * wp.static(width), v)
 
     lattice = lattice_functions_for(dim, scalar, width, window)
-    return Resident(dim, scalar, width, window, lattice=lattice, newton=f, meet=meet, keep=keep)
+    return Resident(dim, scalar, width, lattice=lattice, newton=f, meet=meet, keep=keep)
 
 
 def operate_for(given: Resident) -> Any:

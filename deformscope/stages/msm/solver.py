@@ -777,8 +777,7 @@ class _Stepping:
         return capture.graph
 
     def _look_ahead(self, motion: object) -> None:
-        state = self.state
-        state.operator.look_ahead(state.u, state.before, state.star, motion, state.running)
+        self.state.operator.look_ahead(self.state, motion)
 
     def _two(self, motion: object) -> None:
         self._one(motion)
@@ -786,8 +785,7 @@ class _Stepping:
 
     def _one(self, motion: object) -> None:
         state = self.state
-        fields = state.u, state.before, state.star
-        state.operator.step(*fields, motion, self.parameters, state.running, state.ran_away)
+        state.operator.step(state, motion, self.parameters)
         state.swapped = not state.swapped
 
 
