@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from deformscope.errors import InputError as InputError
     from deformscope.library import calibrate_axes as calibrate_axes
     from deformscope.library import calibrate_beta as calibrate_beta
-    from deformscope.library import calibrate_both as calibrate_both
     from deformscope.library import calibrate_field as calibrate_field
     from deformscope.library import calibrate_theta as calibrate_theta
     from deformscope.library import calibrate_viscous as calibrate_viscous
@@ -51,7 +50,6 @@ if TYPE_CHECKING:
     from deformscope.runs.exploration_run import OwnScene as OwnScene
     from deformscope.runs.exploration_run import TouchPlanner as TouchPlanner
     from deformscope.runs.indentation import IndentResult as IndentResult
-    from deformscope.runs.joint_calibration import JointResult as JointResult
     from deformscope.runs.materials import MaterialResult as MaterialResult
     from deformscope.runs.prediction import PredictionResult as PredictionResult
     from deformscope.runs.recording_report import RecordingReport as RecordingReport
@@ -73,7 +71,7 @@ _NAMES = {
     "runs.classification": "ClassificationResult",
     "errors": "InputError",
     "runs.exploration_run": "OwnScene TouchPlanner",
-    "library": "calibrate_axes calibrate_beta calibrate_both calibrate_field calibrate_theta "
+    "library": "calibrate_axes calibrate_beta calibrate_field calibrate_theta "
     "calibrate_viscous calibrate_yield catalog certify classify compare_recordings discard "
     "explore export import_recording indent load_classifier open_dataset open_recording predict record "
     "recover replay report simulate squeeze sweep verify",
@@ -87,7 +85,6 @@ _NAMES = {
     "runs.squeeze_result": "SqueezeResult",
     "runs.sweep": "SweepResult",
     "runs.result": "FoundResult",
-    "runs.joint_calibration": "JointResult",
     "runs.materials": "MaterialResult",
     "runs.verification": "VerifyResult",
     "runs.catalog": "CatalogResult ComparedRecordings",

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from deformscope.runs.exploration_result import ExplorationResult
     from deformscope.runs.exploration_run import OwnScene, TouchPlanner
     from deformscope.runs.indentation import CurveArrays, IndentResult
-    from deformscope.runs.joint_calibration import JointResult
     from deformscope.runs.materials import MaterialResult
     from deformscope.runs.prediction import ModelSource, PredictionResult
     from deformscope.runs.recording_report import RecordingReport
@@ -91,27 +90,6 @@ def _calibrate(
     with _python_names(), shown_progress(progress) as note:
         config = _options(kind, given, sources=names, joint=together)
         return calibrate(config, arrays, progress=note)[0]
-
-
-def calibrate_both(
-    sources: str | Path | Sequence[str | Path],
-    *,
-    joint: bool = False,
-    progress: Progress | bool | None = None,
-    **options: object,
-) -> "JointResult | list[JointResult]":
-    """Find beta and theta of pairs together, with their joint posterior: one result for each pair.
-
-    sources: pair files, `sample:pair`; joint: fit one beta and one theta to all pairs
-    progress: see `calibrate_beta`; options: the flags of `deformscope calibrate both`.
-    Raises InputError for what cannot be used, and TypeError for options that it has not."""
-    from deformscope.config import BothConfig
-    from deformscope.runs.joint_calibration import calibrate_jointly
-
-    with _python_names(), shown_progress(progress) as note:
-        config = _options(BothConfig, options, sources=_names(sources), joint=joint)
-        found = calibrate_jointly(config, progress=note)
-    return found[0] if len(found) == 1 else found
 
 
 def calibrate_axes(

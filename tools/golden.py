@@ -73,7 +73,6 @@ CASES: Mapping[str, Case] = {
     ),
     "beta-video": _of(f"calibrate beta sample:video {QUIET} --json e.json --record e.rrd --candidates 30"),
     "theta-pair": _of(f"calibrate theta sample:pair {QUIET} --json e.json --record e.rrd --picture e.png"),
-    "both-pair": _of(f"calibrate both sample:pair {QUIET} --json e.json --record e.rrd --picture e.png"),
     "axes-pair": _of(
         f"calibrate axes sample:pair {QUIET} --json e.json --record e.rrd --picture e.png --report e.html"
     ),

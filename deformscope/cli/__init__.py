@@ -54,7 +54,6 @@ COMMANDS: dict[str, Command] = {
     "explore": _command("map the stiffness of a surface by touching it", "ExploreConfig", "explore"),
     "calibrate beta": _command("find beta from images or pair files", "BetaConfig", "calibrate"),
     "calibrate theta": _command("find theta from images or pair files", "ThetaConfig", "calibrate"),
-    "calibrate both": _command("find beta and theta together from pair files", "BothConfig", "materials", "both"),
     "calibrate axes": _command("find a beta along each axis from images or pair files", "AxesConfig", "materials"),
     "calibrate field": _command("relative stiffness of each place, from one deformation", "FieldConfig", "materials"),
     "calibrate yield": _command("yield strain, from a motion under load and release", "YieldConfig", "materials"),

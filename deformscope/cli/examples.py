@@ -13,7 +13,6 @@ EXAMPLES: dict[str, str] = {
     "explore": "deformscope explore lab:two-60-150 --seed 3 --touches 3 --picture map.png",
     "calibrate beta": "deformscope calibrate beta sample:pair --picture beta.png",
     "calibrate theta": "deformscope calibrate theta sample:cube --picture theta.png",
-    "calibrate both": "deformscope calibrate both sample:pair --picture both.png",
     "calibrate axes": "deformscope calibrate axes sample:pair --picture axes.png",
     "calibrate field": "deformscope calibrate field sample:pair --picture field.png",
     "calibrate yield": "deformscope calibrate yield sample:press --picture yield.png",

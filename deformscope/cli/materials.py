@@ -1,20 +1,9 @@
-"""`deformscope calibrate both|axes|field|yield|viscous`: beta with theta, a beta along each axis, relative stiffness of
-each place, yield strain, and relaxing share of the modulus."""
+"""`deformscope calibrate axes|field|yield|viscous`: a beta along each axis, relative stiffness of each place, yield
+strain, and relaxing share of the modulus."""
 
 from deformscope.cli.common import EXIT_LOSSES, fit_progress, say, show, write_file, write_json
-from deformscope.config import BothConfig, MaterialOptions
-from deformscope.runs.joint_calibration import calibrate_jointly
+from deformscope.config import MaterialOptions
 from deformscope.runs.materials import calibrate_material, material_page
-
-
-def both(config: BothConfig) -> None:
-    """`calibrate both`: each pair alone, or all together."""
-    with fit_progress() as progress:
-        every = calibrate_jointly(config, note=say, progress=progress)
-    show(*every)
-    write_file(config.picture, every[0].figures()[0].png)
-    found = [one.as_json() for one in every]
-    write_json(found[0] if len(found) == 1 else found, config.output.json)
 
 
 def run(config: MaterialOptions) -> int:

@@ -9,7 +9,6 @@ from deformscope.config.arm import FilesConfig, GoConfig, HomeConfig, JogConfig,
 from deformscope.config.calibrate import (
     AxesConfig,
     BetaConfig,
-    BothConfig,
     FieldConfig,
     MaterialOptions,
     PredictConfig,

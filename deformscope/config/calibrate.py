@@ -10,7 +10,7 @@ from deformscope.config import flags
 from deformscope.config.images import ImageOptions
 from deformscope.config.options import Flags, OutputOptions, RecordedOptions, ViewOptions, either
 from deformscope.errors import InputError
-from deformscope.file_io import SAMPLE_SCHEME, ending_of, nearest, sample_names
+from deformscope.file_io import ending_of
 
 AlphaFlag = Annotated[float, flags.Rule(lambda alpha: 0 < alpha <= 1, "an {flag} above 0 and at most 1")]
 
@@ -255,39 +255,6 @@ class FitFlags(Flags):
     """Standard deviation of a measured position [m]; default: the files' value, else estimated from the residuals."""
     device: flags.Device = "auto"
     """Where the simulation runs; auto: on the GPU where there is one."""
-
-
-@dataclass(frozen=True, slots=True)
-class BothConfig(RecordedOptions):
-    """Find beta and theta together from pairs of rest and deformed positions: their joint posterior. Volume is
-    conserved by projection, which is stable in overlapping clusters."""
-
-    sources: flags.PairSources
-    """Pair files."""
-    cluster_size: Annotated[
-        flags.CountFlag, flags.Rule(lambda size: size == 0 or size >= 2, "a {flag} of 2 or more, or 0")
-    ] = 3
-    """Particles along each side of a cluster; 0: one cluster holds all particles."""
-    mode: Literal["linear", "quadratic"] = "linear"
-    """How a cluster may deform."""
-    beta_range: flags.BetaSpanFlag = (0.0, 0.99)
-    """Range in which beta is searched."""
-    theta_range: flags.SpanFlag = (0.0, 1.0)
-    """Range in which theta is searched."""
-    joint: bool = False
-    """Fit one beta and one theta to all pairs together."""
-    picture: flags.PictureFlag = None
-    """Draw the joint posterior (of several pairs, the first one's). An existing file is replaced."""
-    fit: OmitArgPrefixes[FitFlags] = field(default_factory=FitFlags)
-    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
-
-    def check(self) -> None:
-        if other := next((source for source in self.sources if ending_of(source) != ".npz"), None):
-            raise InputError(
-                "pair files (.npz)",
-                repr(other),
-                nearest(other, sample_names(), SAMPLE_SCHEME) or "calibrate beta or theta for images",
-            )
 
 
 # deformscope predict -------------------------------------------------------------------------------------------------

@@ -363,6 +363,4 @@ def _some(name: str, hint: str) -> Rule:
 
 
 _MIXED = _some("SOURCE", "a video, a folder of frames, images, or pair files (.npz)")
-_PAIRS = _some("PAIR.npz", "a pair file with rest, deformed and held")
 Sources = Annotated[tuple[str, ...], Positional, arg(metavar="SOURCE...", help_behavior_hint=""), Reads(), _MIXED]
-PairSources = Annotated[tuple[str, ...], Positional, arg(metavar="PAIR.npz...", help_behavior_hint=""), Reads(), _PAIRS]

@@ -1,5 +1,4 @@
-"""Pictures of a material's results from pairs and motions: beta with theta, beta along axes, fields, yielding; as
-PNG."""
+"""Pictures of a material's results from pairs and motions: beta along axes, fields, yielding; as PNG."""
 
 from typing import TYPE_CHECKING
 
@@ -10,33 +9,11 @@ from deformscope.pictures.figures import canvas, png_of
 from deformscope.results.render import length_scale
 
 if TYPE_CHECKING:
-    from deformscope.stages.fit.joint import JointEstimate
     from deformscope.stages.fit.motion import Motion
     from deformscope.stages.materials.axis_estimate import AxisEstimate
     from deformscope.stages.materials.field_estimate import FieldEstimate
     from deformscope.stages.materials.recovery import RecoveryEstimate
     from deformscope.stages.materials.yield_estimate import YieldEstimate
-
-
-def joint_png(found: "JointEstimate") -> bytes:
-    """The joint posterior of beta and theta as a map, with the most likely values."""
-    assert found.beta.posterior is not None
-    assert found.theta.posterior is not None
-    beta, theta = found.beta.posterior.parameter, found.theta.posterior.parameter
-    figure = canvas(5.2, 4.2, layout="constrained")
-    axis = figure.subplots()
-    shown = axis.pcolormesh(beta, theta, found.density.T, cmap="Blues", shading="gouraud")
-    order = np.argsort(-found.density.ravel())
-    weight = (found.density * np.gradient(beta)[:, None] * np.gradient(theta)).ravel()[order]
-    last = order[min(int(np.searchsorted(np.cumsum(weight) / weight.sum(), found.beta.level)), order.size - 1)]
-    edge = float(found.density.ravel()[last])
-    axis.contour(beta, theta, found.density.T, levels=[edge], colors="tab:blue")
-    axis.plot(found.beta.value, found.theta.value, "x", color="tab:red", label="most likely")
-    axis.plot([], [], color="tab:blue", label=f"{found.beta.level:.0%} set")
-    axis.set(xlabel="beta [-]", ylabel="theta [-]")
-    axis.legend()
-    figure.colorbar(shown, label="posterior density [-]")
-    return png_of(figure, 130)
 
 
 def axes_png(found: "AxisEstimate") -> bytes:

@@ -22,7 +22,6 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "EvaluationOptions": ("ClassifyConfig",),
     "ExploreOptions": ("ExploreConfig",),
     "FitOptions": ("BetaConfig",),
-    "JointOptions": ("BothConfig",),
     "LayersOptions": ("BetaConfig",),
     "LiveOptions": ("RecordConfig", "LiveConfig"),
     "MaterialJob": ("AxesConfig", "FieldConfig", "YieldConfig", "ViscousConfig"),

@@ -1,4 +1,4 @@
-"""`python -m studies` as one types it, and `calibrate both`."""
+"""`python -m studies` as one types it."""
 
 import importlib
 import json
@@ -11,15 +11,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from deformscope.cli import main as deformscope_main
-from deformscope.stages.fit.calibrate import Model, Observation
 from deformscope.stages.poke import stiffness_field
 from studies import coverage, doubt_rates, force, random_bodies, runner
 from studies.__main__ import main, summaries
 from studies.random_bodies import RandomBody, random_body
 from tests.cases import Capture, Patch
 from tests.cli.recorded import assert_shows
-from tests.stages.bodies import pushed
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -129,39 +126,6 @@ def test_the_documentation_names_studies_that_exist() -> None:
     }
     assert named - {"NAME", "reproduce NAME", "reproduce"} <= set(summaries())
     assert sorted(set(summaries()) - named) == []
-
-
-def pair(path: Path) -> Path:
-    rng = np.random.default_rng(1)
-    body = pushed((5, 5), rng)
-    count = len(body.rest)
-    model = Model(volume="project")
-    seen = Observation(body.rest, body.rest, body.held, np.ones(count, dtype=bool), shape=(5, 5), cell=np.arange(count))
-    moved = model.body(seen).relax(body.held_position, 0.5, 0.3, volume="project").position[0]
-    noisy = moved + rng.normal(0.0, 1e-4, moved.shape)
-    np.savez(path, rest=body.rest, deformed=noisy, held=body.held, noise_m=1e-4, force_n=2.0, force_noise_n=0.1)
-    return path
-
-
-@pytest.mark.slow  # stages/fit/test_joint proves the posterior
-def test_both_tells_a_joint_posterior(tmp_path: Path, capsys: Capture) -> None:
-    source = pair(tmp_path / "pair.npz")
-    files = ["--picture", str(tmp_path / "both.png"), "--record", str(tmp_path / "r.rrd")]
-    assert deformscope_main(["calibrate", "both", str(source), *files, "--json", "-"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert set(found["parameters"]) == {"beta", "theta"}
-    for one in found["parameters"].values():
-        assert one["interval"][0] <= one["value"] <= one["interval"][1]
-    posterior = found["posterior"]
-    assert np.shape(posterior["density"]) == (len(posterior["beta"]), len(posterior["theta"]))
-    assert found["stiffness_n_per_m"]["interval"][0] > 0.0
-    assert (tmp_path / "both.png").stat().st_size > 5_000
-    assert_shows(tmp_path / "r.rrd", says="beta and theta of", beside_particles=True)
-
-
-def test_both_takes_pair_files_alone(capsys: Capture) -> None:
-    assert deformscope_main(["calibrate", "both", "video.mp4"]) == 2
-    assert "pair files" in capsys.readouterr().err
 
 
 def test_coverage_of_regions_prints_levels_and_bins(tmp_path: Path, capsys: Capture) -> None:

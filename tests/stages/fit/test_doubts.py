@@ -14,7 +14,6 @@ from deformscope.pictures.messages import estimate_rows
 from deformscope.stages.fit import doubts
 from deformscope.stages.fit.calibrate import FitOptions, Model, Observation, calibrate
 from deformscope.stages.fit.estimate import Doubt, Estimate, Identifiability, Verdict, limited
-from deformscope.stages.fit.joint import JointOptions, calibrate_both
 from deformscope.stages.fit.two_materials import INCLUSIONS, LEFT, LEFT_SURE, splits
 from deformscope.stages.materials.anisotropy import fit_axes
 from deformscope.stages.materials.plasticity import fit_yield
@@ -296,18 +295,6 @@ def test_theta_gives_its_setting_and_is_not_identified_where_the_model_misfits()
     same = calibrate([dataclasses.replace(exact, deformed=state)], FitOptions(model, (0.0, 1.0))).estimate
     assert same.verdict == "identified"
     assert codes(same.reasons) == ["setting"]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["two-materials", "axes-swapped"])
-def test_both_name_what_one_does(kind: str) -> None:
-    seen = seen_sheet((0.2, 0.8)) if kind == "two-materials" else swapped(seen_sheet(0.6))
-    found, _ = calibrate_both([seen], JointOptions())
-    for one in (found.beta, found.theta):
-        assert kind in codes(one.reasons)
-        assert one.verdict == "unidentified"
-    shown = found.as_json()["parameters"]
-    assert "setting" in [reason["code"] for reason in shown["theta"]["reasons"]]  # type: ignore[index]
 
 
 @pytest.mark.parametrize("kind", ["two-materials", slow("axes-swapped")])
