@@ -1,6 +1,6 @@
 """The pictures of the page in README.md and docs/howto, made anew:
 
-    python tools/page_pictures.py [live explore fit film]
+    python tools/page_pictures.py [live explore film]
 
 Each starts its command, opens its page in a headless Chromium of 1280x800 that draws by software, waits until there is
 something to see, and saves what is on the screen. `film` clicks through an exploration (Explore, Confirm) to its end
@@ -36,7 +36,6 @@ FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
 LIVE = ("live", "lab:bench")
 EXPLORE = ("explore", "lab:three-60-110-rigid", "--paused")
-FIT = ("calibrate", "beta", "sample:tension")
 START_S, PATIENCE_S = 60.0, 240.0
 ATTEMPTS = 3
 FILM_S, FILM_PX, FILM_BYTES = 30.0, (960, 600), 3 << 20
@@ -48,7 +47,7 @@ SHORTEST_S = 0.25
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", nargs="*", help="live, explore, fit, film: none = all; or a command, with --out")
+    parser.add_argument("what", nargs="*", help="live, explore, film: none = all; or a command, with --out")
     parser.add_argument("--out", type=Path, help="of another command: a picture")
     parser.add_argument("--size", default="1280x800")
     parser.add_argument("--theme", choices=("dark", "light"), default="dark")
@@ -64,8 +63,8 @@ def main() -> int:
             page.wait_for_timeout(1000 * arguments.after)
             page.screenshot(path=arguments.out)
         return 0
-    for what in arguments.what or ("live", "explore", "fit", "film"):
-        {"live": live, "explore": explore, "fit": fit, "film": film}[what]()
+    for what in arguments.what or ("live", "explore", "film"):
+        {"live": live, "explore": explore, "film": film}[what]()
     return 0
 
 
@@ -91,16 +90,6 @@ def explore() -> None:
         until(page, lambda: "touch 7 " in page.inner_text("#remarks") or page.inner_text("#phase") == "stopped")
         page.wait_for_timeout(2_000)
         page.screenshot(path=IMAGES / "explore-page.png")
-
-
-def fit() -> None:
-    """Particles on the picture, the error curve, and a whole fit's interval in it."""
-    with opened(FIT) as page:
-        until(page, lambda: page.inner_text("#fit-least").startswith("least of 25"))
-        page.keyboard.press("f")
-        until(page, lambda: page.inner_text("#fit-found"))
-        until(page, lambda: page.inner_text("#fit-least").startswith("least of 25"))
-        page.screenshot(path=IMAGES / "fit-page.png")
 
 
 def film() -> None:

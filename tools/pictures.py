@@ -79,7 +79,6 @@ def gallery() -> None:
 MADE: dict[str, Callable[[], None]] = {
     **{name: partial(window, name) for name in WINDOWS},
     "gallery": gallery,
-    "fit-page": page_pictures.fit,
     "live-page": page_pictures.live,
     "explore-page": page_pictures.explore,
     "film": page_pictures.film,

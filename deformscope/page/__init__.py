@@ -1,1 +1,1 @@
-"""Views of runs on pages, and commands from pages: recording, exploring, squeezing, fits, playback."""
+"""Views of runs on pages, and commands from pages: recording, exploring, squeezing, playback."""

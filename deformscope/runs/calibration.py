@@ -38,9 +38,7 @@ def calibrate(
     several pairs."""
     quiet_warp()
     sources, search, output = config.sources, config.search, config.output
-    check_arrays(
-        sources, config.images, search.noise_px, "pair files", config.push
-    )  # a page sets both until its fit is made
+    check_arrays(sources, config.images, search.noise_px, "pair files", config.push)
     fit = fit_options(config)
     layers = _layers(config)
     select: tuple[Selectable, ...] | None = None

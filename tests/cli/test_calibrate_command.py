@@ -107,6 +107,14 @@ def test_several_pairs_give_a_list_and_joint_one(pair: Path, tmp_path: Path, cap
     assert run_json(["calibrate", "beta", str(pair), str(other), "--joint"], capsys)["settings"]["pairs"] == 2
 
 
+def test_a_page_shows_the_fit_and_waits_for_nobody(pair: Path, tmp_path: Path, capsys: Capture) -> None:
+    flags = ["--viewer", "page", "--json", str(tmp_path / "fit.json")]
+    assert main(["calibrate", "beta", str(pair), *FAST, *flags]) == 0
+    assert "viewer: http://127.0.0.1:" in capsys.readouterr().err
+    plain = run_json(["calibrate", "beta", str(pair)], capsys)
+    assert json.loads((tmp_path / "fit.json").read_text())["value"] == plain["value"]
+
+
 def test_force_gives_a_stiffness(pair: Path, tmp_path: Path, capsys: Capture) -> None:
     with np.load(pair) as file:
         arrays = {name: file[name] for name in file.files}

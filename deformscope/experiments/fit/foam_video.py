@@ -63,34 +63,18 @@ def foam_video(
     if len(history) < 2:
         raise InputError("at least two frames", "one", "a longer sequence, or a smaller --stride")
     with measuring("estimate"):
-        turns = cameras[0].turns() if cameras else None
-        found = fit_pose(grid, history, times, turns, particles, fit, progress, push, log)
+        seen, used = last_pose(grid, history, particles)
+        if push is None or not cameras:
+            found = calibrate([seen], fit, settings=used, progress=progress)
+        else:
+            parts = particles.held, particles.contact_rect
+            pushed = with_force(seen, grid, history, times, cameras[0].turns(), *parts, push, log, fit.level)
+            found = calibrate([pushed.seen], fit, settings=used, progress=progress)
+            found = dataclasses.replace(found, estimate=found_by_force(found.estimate, pushed, push, fit.seed))
     for index, comparison in enumerate(follow(found.seen[-1], history, fit.model, found)):
         yield Step((comparison,), frame=index)
     yield Step((found.estimate,))
     return found
-
-
-def fit_pose(
-    grid: ParticleGrid,
-    history: Sequence[Tracked],
-    times: Sequence[float],
-    turns: FloatArray | None,
-    particles: ParticleOptions,
-    fit: FitOptions,
-    progress: Progress | None = None,
-    push: PushOptions | None = None,
-    log: PressForce | None = None,
-) -> Calibration:
-    """Fit the last pose of tracked particles. times: seconds of each frame since the first; turns: see `CameraTurn`,
-    where there is a force; push, log: `foam_video`"""
-    seen, used = last_pose(grid, history, particles)
-    if push is None or turns is None:
-        return calibrate([seen], fit, settings=used, progress=progress)
-    parts = particles.held, particles.contact_rect
-    pushed = with_force(seen, grid, history, times, turns, *parts, push, log, fit.level)
-    found = calibrate([pushed.seen], fit, settings=used, progress=progress)
-    return dataclasses.replace(found, estimate=found_by_force(found.estimate, pushed, push, fit.seed))
 
 
 def last_pose(

@@ -7,14 +7,12 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from deformscope.page.server.fit_messages import FitSettings, FitState
-
 VERSION = 1
 """Version of these messages. A page of another version is refused, and has to be loaded again."""
 LONGEST_MESSAGE = 16 << 10
 """Most bytes of a message from a page."""
 
-Phase = Literal["idle", "live", "recording", "exploring", "squeezing", "paused", "adjusting", "stopped"]
+Phase = Literal["idle", "live", "recording", "exploring", "squeezing", "paused", "stopped"]
 Outcome = Literal["done", "begun", "refused"]
 Words = Annotated[str, msgspec.Meta(min_length=1, max_length=1000)]
 Name = Annotated[str, msgspec.Meta(min_length=1, max_length=100)]
@@ -139,25 +137,6 @@ class TouchPicked(FromPage, frozen=True, tag="touch-picked"):
     position_m: tuple[Length, Length, Length]
 
 
-class SetFit(FromPage, frozen=True, tag="set-fit"):
-    """Show the model with these settings. number: counts the settings; earlier ones not yet shown are skipped"""
-
-    number: Number
-    settings: FitSettings
-
-
-class RunFit(FromPage, frozen=True, tag="run-fit"):
-    """Fit the parameter, with its interval, with the settings. A later change of a setting ends it."""
-
-
-class FitDrawn(FromPage, frozen=True, tag="fit-drawn"):
-    """The page has drawn the settings' result. number: number of the `SetFit`; after_ms: time since a person changed a
-    setting [ms]"""
-
-    number: Number
-    after_ms: Annotated[float, msgspec.Meta(ge=0.0, le=1e7)]
-
-
 PageCommand = (
     TakeControls
     | StartRecording
@@ -179,9 +158,6 @@ PageCommand = (
     | TouchNext
     | TouchAt
     | TouchPicked
-    | SetFit
-    | RunFit
-    | FitDrawn
 )
 
 
@@ -311,8 +287,7 @@ class PageState(ToPage, frozen=True, tag="state"):
     commands: requests that are possible at present, by kind; tares: devices that can be tared
     controls: the page that steers; pages: how many there are; pending: motion that waits for a confirmation;
     next_place, curve: next place and curve of an exploration; beat_s: time without a `Beat` after which motions stop
-    that a page confirmed [s]; playback: playback of a page that shows a recording; fit: the fit that is set on the page
-    """
+    that a page confirmed [s]; playback: playback of a page that shows a recording"""
 
     version: int = VERSION
     now_s: float = 0.0
@@ -336,7 +311,6 @@ class PageState(ToPage, frozen=True, tag="state"):
     curve: ForceCurve | None = None
     beat_s: float = 0.3
     playback: Playback | None = None
-    fit: FitState | None = None
 
 
 class Drawn(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

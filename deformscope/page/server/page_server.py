@@ -58,9 +58,9 @@ class PageServer:
     """`with PageServer("lab:bench") as page: print(page.address)`.
 
     session: the state that pages show, and the commands they give; pieces: data for the viewer in the pages
-    recording: a file that the pages play instead; adjusting: the pages show a fit that is set on them"""
+    recording: a file that the pages play instead"""
 
-    def __init__(self, title: str = "", recording: Path | None = None, *, adjusting: bool = False) -> None:
+    def __init__(self, title: str = "", recording: Path | None = None) -> None:
         self.session = PageSession(title)
         self.pieces = Pieces()
         self.address = ""
@@ -72,9 +72,10 @@ class PageServer:
         }
         self._offered: dict[str, tuple[bytes, str]] = {}
         self._recording = recording
-        marks = f'data-recording="{RECORDING}"' if recording is not None else "data-fit" if adjusting else ""
-        page, media_type = self._static["index.html"]
-        self._static["index.html"] = page.replace(b"<body>", f"<body {marks}".strip().encode() + b">"), media_type
+        if recording is not None:
+            page, media_type = self._static["index.html"]
+            marked = page.replace(b"<body>", f'<body data-recording="{RECORDING}">'.encode())
+            self._static["index.html"] = marked, media_type
         self._server: uvicorn.Server | None = None
         self._thread: threading.Thread | None = None
         self._sessions: set[WebSocket] = set()

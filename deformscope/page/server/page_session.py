@@ -10,13 +10,12 @@ import msgspec
 from deformscope.page.server import messages
 
 NEXT: dict[messages.Phase, frozenset[messages.Phase]] = {
-    "idle": frozenset({"live", "recording", "exploring", "squeezing", "paused", "adjusting", "stopped"}),
+    "idle": frozenset({"live", "recording", "exploring", "squeezing", "paused", "stopped"}),
     "live": frozenset({"recording", "stopped"}),
     "recording": frozenset({"live", "stopped"}),
     "exploring": frozenset({"paused", "stopped"}),
     "squeezing": frozenset({"paused", "stopped"}),
     "paused": frozenset({"exploring", "squeezing", "stopped"}),
-    "adjusting": frozenset({"stopped"}),
     "stopped": frozenset(),
 }
 """The possible next phases of each phase."""

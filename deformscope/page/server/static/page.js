@@ -1,7 +1,6 @@
 // What is on the page beside the viewer.
 
 import { PageSession } from "./session.js";
-import { startFitting } from "./fit.js";
 import { cursorRequest, startPlayback } from "./playback.js";
 import { startSteering } from "./steer.js";
 import { addLayer, startViewer } from "./viewer.js";
@@ -16,7 +15,6 @@ const replies = [];
 
 const session = new PageSession(show, lost);
 const steering = startSteering(command, session);
-const fitting = startFitting(session, (text) => note(text, true));
 const words = (text) => (at("viewer-words").textContent = text);
 let viewer = null;
 const playback = startPlayback(async (timeline, ns) => {
@@ -25,16 +23,9 @@ const playback = startPlayback(async (timeline, ns) => {
   }
   await viewer.viewer_control(cursorRequest(timeline, ns));
 });
-const fits = document.body.dataset.fit !== undefined;
-if (!fits) {
-  startViewer(at("canvas"), words, showLag, (event) => document.dispatchEvent(new CustomEvent("viewer", { detail: event })))
-    .then((handle) => (viewer = handle))
-    .catch((error) => words(`no viewer: ${error}`));
-} else {
-  at("stop").firstChild.textContent = "Finish ";
-  at("stop").lastChild.textContent = "q"; // space is for what stops a robot
-  at("stop").className = "go"; // it moves nothing: red is for what stops a robot
-}
+startViewer(at("canvas"), words, showLag, (event) => document.dispatchEvent(new CustomEvent("viewer", { detail: event })))
+  .then((handle) => (viewer = handle))
+  .catch((error) => words(`no viewer: ${error}`));
 
 function show(next) {
   state = next;
@@ -51,7 +42,6 @@ function show(next) {
   steering.show(next);
   playback.load(next.playback);
   showLayer();
-  fitting.show(next, session.page);
   showRemarks();
   showClock();
 }
@@ -276,13 +266,13 @@ at("help").addEventListener("click", () => at("help").close());
 
 // Keys: before the viewer gets them, whose own hidden field for text has the focus whenever the viewer has it
 
-const ownField = (element) => element?.matches?.("#controls input, #fit input");
+const ownField = (element) => element?.matches?.("#controls input");
 const typeless = (element) => ["range", "checkbox", "radio"].includes(element.type); // what is typed there is no text
 const writes = (element) => ownField(element) && !typeless(element) && element.type !== "number"; // a space is text there
 let pointed = null;
 window.addEventListener("pointerdown", ({ target }) => (pointed = target), { capture: true });
 window.addEventListener("focusin", ({ target, relatedTarget }) => {
-  if (ownField(relatedTarget) && !target.closest("aside, dialog, header, #fit") && pointed !== at("canvas")) {
+  if (ownField(relatedTarget) && !target.closest("aside, dialog, header") && pointed !== at("canvas")) {
     relatedTarget.focus(); // nobody clicked on the viewer: it takes the focus when it starts
   }
 });
@@ -299,15 +289,12 @@ function write(kind, field) {
 function stop() {
   if (state?.playback) {
     playback.toggle();
-  } else if (fits) {
-    note("space stops a robot; nothing moves here, and q finishes", false);
   } else {
     command("stop");
   }
 }
 
 const KEYS = {
-  q: () => fits && command("stop"),
   r: () => command(state?.recording ? "stop-recording" : "start-recording"),
   k: () => command("keep-recent"),
   n: () => write("write-note", "note-text"),
@@ -319,7 +306,6 @@ const KEYS = {
   p: () => command("pause"),
   x: () => command(state?.commands.includes("squeeze") ? "squeeze" : "explore"),
   v: () => command("veto"),
-  f: () => fitting.run(),
   "?": () => (at("help").open ? at("help").close() : at("help").showModal()),
 };
 window.addEventListener(
