@@ -392,15 +392,6 @@ def read_rows() -> list[tuple[str, ...]]:
             "no `unit_m`; JPEG",
         ),
         (f"folder of {listed(*CLOUDS)}", "`x`, `y`, `z`", "`units.points`", axes, files, f"no unit; {behind}"),
-        ("bytes (`.bin`, `.raw`)", "OptoForce DAQ, DSA", "`config.sensitivity`", "the sensor's", "`rate_hz`", ""),
-        (
-            "`candump -L` log (`.log`)",
-            "the same on CAN; extended identifiers have eight digits",
-            "`config.sensitivity`",
-            "the sensor's",
-            "the log's",
-            "remote, error and FD frames are counted and left out",
-        ),
         (bag, "messages that are not of ROS 1 or 2, services", "", "", "", "listed as not read; the rest is imported"),
     ]
 

@@ -39,9 +39,7 @@ class MappedStream(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     pose: topic of the end's poses, for states of joints; parent, child: its frames where that is of transforms
     pose_age_s: how far in time the newest pose may be from a state of joints, which is left out otherwise
     joints: names of the joints, in their order; focal_px, center_px, size_px: focal length, centre and size of the
-    camera that points are projected into; pads: layout of a tactile sensor; rate_hz: rate of rows without a time;
-    driver, config: the driver whose bytes they are, its keys as in a rig file; topics then are received and sent bytes
-    """
+    camera that points are projected into; pads: layout of a tactile sensor; rate_hz: rate of rows without a time"""
 
     device: str
     kind: Kind
@@ -65,8 +63,6 @@ class MappedStream(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     size_px: tuple[int, int] | None = None
     pads: tuple[PadLayout, ...] = ()
     rate_hz: Annotated[float, msgspec.Meta(ge=0.0, le=1e9)] = 0.0
-    driver: str = ""
-    config: dict[str, Any] = {}
 
     @property
     def step_m(self) -> float:
@@ -114,9 +110,8 @@ class ImportMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return "\n".join(lines).lstrip() + "\n"
 
     def rig_text(self) -> str:
-        """The devices whose bytes are imported, and the poses, as text of a rig file; empty without either."""
-        sections = {f"devices.{one.device}": {"driver": one.driver, **one.config} for one in self.streams if one.driver}
-        return lines_of(sections | self.rig, digits="")
+        """The poses and the tool as text of a rig file; empty without them."""
+        return lines_of(self.rig, digits="")
 
 
 def read_map(path: Path, *, is_draft: bool = False) -> ImportMap:

@@ -11,14 +11,13 @@ import numpy as np
 from deformscope.errors import InputError
 from deformscope.frames import Stream
 from deformscope.images import read_image
-from deformscope.imports.captures import Counted
 from deformscope.imports.frame_builder import CLOUDS, DEPTH_UNIT, KINDS, STANDARD, STEP_M, sides_of
 from deformscope.imports.image_messages import REAL, is_depth, parse_format
 from deformscope.imports.import_map import ASKED, ImportMap, MappedStream
 from deformscope.imports.point_files import read_points
 from deformscope.imports.poses import STATIC
 from deformscope.imports.readers import TABLE_TYPES, Reader, Topic
-from deformscope.imports.source import CLOCKS_APART_S
+from deformscope.imports.source import CLOCKS_APART_S, Counted
 from deformscope.recording.export.manifest import Manifest
 
 TIMES = ("host_ns", "time", "timestamp", "stamp", "t", "datetime", "zeit")
@@ -135,9 +134,6 @@ def propose(reader: Reader, found: list[Found]) -> ImportMap:
             unit = "" if time == ASKED else one.topic.units[time] or ("ns" if time.endswith("_ns") else ASKED)
             columns = {f"force_{axis}_n": ASKED for axis in "xyz"}
             asked |= {"columns": columns, "units": {ASKED: ASKED}, "time": time, "time_unit": unit}
-        elif one.topic.type in ("bytes", "candump"):
-            config = {"bus": f"socketcan:{one.topic.name.partition('/')[0]}"} if one.topic.type == "candump" else {}
-            asked |= {"driver": ASKED, "config": config}
         elif one.topic.type == "files":
             is_cloud = one.topic.name.endswith(CLOUDS)
             asked["device"] = one.topic.name.rpartition("/")[0].replace("/", "_") or "camera"

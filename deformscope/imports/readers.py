@@ -9,7 +9,6 @@ import json
 import operator
 import re
 import zipfile
-from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
@@ -30,10 +29,6 @@ BAGS = (".bag", ".mcap", ".db3")
 SHEETS = (".xls", ".xlsx")
 TABLES = (*TEXTS, ".parquet", *SHEETS)
 FILES = (".png", ".tif", ".tiff", ".jpg", ".pcd", ".ply")
-CANDUMP = re.compile(r"\((\d{1,12})\.(\d+)\)\s+(\S+)\s+([0-9A-Fa-f]{1,8})(#{1,3})(\S*)(\s+[RT])?\s*$")
-CAN_DATA = re.compile(r"((?:[0-9A-Fa-f]{2})*)(?:_[0-9A-Fa-f])?")
-CAN_ERROR = 1 << 29
-"""Bit of an identifier that is of an error frame."""
 TABLE_TYPES = ("csv", "parquet")
 BATCH_ROWS = 64
 """Rows that are read together: a column's text, however long, comes once with each."""
@@ -136,8 +131,6 @@ def open_reader(path: Path, skip_rows: int = 0, times: Collection[str] = ()) -> 
     elif not others and (parts := _parts(path)):
         with _opened_bag(path, parts) as reader:
             yield reader
-    elif path.is_file() and suffix in (".bin", ".raw", ".log"):
-        yield ByteReader(path)
     else:
         yield FolderReader(path, skip_rows, times)
 
@@ -290,56 +283,6 @@ def _metadata(path: Path) -> Manifest:
         except Exception as error:
             raise _unreadable(path, error) from error
     return read_manifest(about, path)
-
-
-class ByteReader:
-    """Bytes of a device: raw in a file (`.bin`, `.raw`), or frames of a CAN bus by candump (`.log`)."""
-
-    about = Manifest()
-
-    def __init__(self, path: Path) -> None:
-        self._path, self._name = path, _name(Path(path.name))
-
-    @cached_property
-    def topics(self) -> dict[str, Topic]:
-        if self._path.suffix.lower() != ".log":
-            return {self._name: Topic(self._name, "bytes")}
-        found: Counter[str] = Counter(message.topic for message in self.messages(None))
-        kinds = {"#R": "remote frames, left out", "##": "FD or XL frames, left out", "#E": "error frames, left out"}
-        return {name: Topic(name, kinds.get(name[-2:], "candump"), count) for name, count in found.items()}
-
-    def messages(self, topics: Collection[str] | None) -> Iterator[Message]:
-        """topics: None = all"""
-        if self._path.suffix.lower() != ".log":
-            with self._path.open("rb") as file:
-                while data := file.read(1 << 16):
-                    yield Message(self._name, 0, data)
-            return
-        with self._path.open(encoding="ascii", errors="replace") as lines:
-            for number, line in enumerate(lines, 1):
-                found = CANDUMP.match(line)
-                name = found and _can_topic(found)
-                if not found or not name:
-                    if not line.strip() or not line.endswith("\n"):  # the last, which was cut
-                        continue
-                    expected = "lines as of candump -L, (SECONDS) BUS ID#DATA"
-                    raise InputError(expected, repr(line.strip()[:60]), where=f"{self._path}:{number}")
-                if topics is None or name in topics:
-                    ns = int(found[1]) * 10**9 + int(found[2].ljust(9, "0")[:9])
-                    content = CAN_DATA.fullmatch(found[6])
-                    yield Message(name, ns, bytes.fromhex(content[1]) if content else b"")
-
-
-def _can_topic(found: re.Match[str]) -> str:
-    """The topic of a frame: standard identifiers without leading zeros, extended ones of eight digits; #R, ## and #E
-    mark frames that are no data of a classic bus. Empty if it is no frame."""
-    number = int(found[4], 16)
-    name = f"{found[3]}/{number:x}" if len(found[4]) <= 3 else f"{found[3]}/{number:08x}"
-    if len(found[5]) > 1 or number & CAN_ERROR:
-        return name + ("##" if len(found[5]) > 1 else "#E")
-    if re.fullmatch(r"R\w*", found[6]):
-        return f"{name}#R"
-    return name if CAN_DATA.fullmatch(found[6]) else ""
 
 
 def _sheets(path: Path) -> dict[str, bytes]:

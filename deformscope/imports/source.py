@@ -14,8 +14,7 @@ from typing import Any
 from deformscope.errors import InputError
 from deformscope.file_io import read_file
 from deformscope.files.delimited import moment_ns
-from deformscope.frames import DepthFrame, Frame, HealthReport, Item, RawBytes, Stream, host_ns
-from deformscope.imports.captures import CaptureStream, Counted, check_capture
+from deformscope.frames import DepthFrame, Frame, HealthReport, Item, Stream, host_ns
 from deformscope.imports.frame_builder import DEPTH_UNIT, TIME_NS, FrameBuilder, valid_of
 from deformscope.imports.import_map import ASKED, ImportMap, MappedStream
 from deformscope.imports.poses import Pose, Poses
@@ -25,6 +24,7 @@ from deformscope.recording.items import ItemSource
 from deformscope.recording.streams import columns_of
 from deformscope.rig.rig_file import parse_rig
 from deformscope_drivers.clock import Stamp
+from deformscope_drivers.health import Health, Link
 
 APART_S = 10.0
 """Distance in time from all other streams at which a stream must have another clock."""
@@ -46,13 +46,8 @@ class ImportSource(ItemSource):
                 if name not in self._topics:
                     known = ", ".join(self._topics) or "nothing"
                     raise InputError(f"topics of {stream.device} out of the source's", repr(name), known)
-            check_capture(stream, self._topics)
         self.rig = parse_rig(asked.rig_text(), "the map", others=[one.device for one in asked.streams])
-        configs = {one.name: one.config for one in self.rig.devices}
-        self._made: dict[str, _Stream | CaptureStream] = {
-            one.device: CaptureStream(one, configs[one.device], reader) if one.driver else _Stream(one, reader)
-            for one in asked.streams
-        }
+        self._made = {one.device: _Stream(one, reader) for one in asked.streams}
         streams = tuple(reader.about.stream(name, one.describe()) for name, one in self._made.items())
         # first stamps against their recorded times, of streams without a clock in the map
         every = ((name, one.behind_s(reader)) for name, one in self._made.items() if one.stream.offset_s is None)
@@ -76,7 +71,7 @@ class ImportSource(ItemSource):
         was_over, found = self.ended, super().take(wait_s)
         if self.ended and not was_over:
             if empty := [one for one in self._made.values() if not one.count]:
-                count = empty[0].lost + getattr(empty[0], "left_out", 0)
+                count = empty[0].lost + empty[0].left_out
                 came = f"none of {count} messages" if count else "none"
                 raise InputError(f"frames of {empty[0].stream.device}", came, self._hint(empty[0]))
             same = {name: one for name, one in self._made.items() if one.stream.offset_s is None}
@@ -94,29 +89,28 @@ class ImportSource(ItemSource):
     @property
     def seen(self) -> dict[str, dict[str, Any]]:
         """How much of each stream of measurements is valid, as `_Stream.seen`."""
-        return {name: one.seen() for name, one in self._made.items() if isinstance(one, _Stream)}
+        return {name: one.seen() for name, one in self._made.items()}
 
     @property
     def gaps_s(self) -> dict[str, float]:
         """The longest time without a frame of each device [s]."""
         return {name: one.gap_ns / 1e9 for name, one in self._made.items()}
 
-    def _read(self, reader: Reader) -> Iterator[Frame | RawBytes]:
-        if {one.type for one in self._topics.values()} & {*TABLE_TYPES, "files", "bytes", "candump"}:
+    def _read(self, reader: Reader) -> Iterator[Frame]:
+        if {one.type for one in self._topics.values()} & {*TABLE_TYPES, "files"}:
             yield from heapq.merge(*(one.frames(reader) for one in self._made.values()), key=host_ns)
             return
         by_topic: dict[str, list[_Stream]] = {}
-        streams = [one for one in self._made.values() if isinstance(one, _Stream)]
-        for one in streams:
+        for one in self._made.values():
             for name in dict.fromkeys((*one.stream.topics, *([one.stream.pose] if one.stream.pose else ()))):
                 by_topic.setdefault(name, []).append(one)
         for message in reader.messages(by_topic):
             for one in by_topic[message.topic]:
                 yield from one.take(message)
-        for one in streams:
+        for one in self._made.values():
             yield from one.rest()
 
-    def _hint(self, *empty: "_Stream | CaptureStream") -> str:
+    def _hint(self, *empty: "_Stream") -> str:
         is_posed = any(one.stream.kind == "arm" for one in empty)
         return f"its topics{', pose and joints' if is_posed else ''} in the map, which --inspect lists"
 
@@ -125,6 +119,27 @@ class ImportSource(ItemSource):
         one, other = sorted(away, key=away.__getitem__)
         came = f"stamps {apart_s:.4g} s from those of {one}"
         return self._made[other].stream.missing("offset_s", "how its clock differs", came)
+
+
+class Counted:
+    """Counts of a stream's frames. lost: messages without a frame; gap_ns: longest time between two frames"""
+
+    def __init__(self) -> None:
+        self.count = self.lost = self.first_ns = self.last_ns = self.gap_ns = 0
+
+    def add(self, ns: int) -> None:
+        """Count one more."""
+        self.first_ns, self.gap_ns = (self.first_ns, max(self.gap_ns, ns - self.last_ns)) if self.count else (ns, 0)
+        self.last_ns, self.count = ns, self.count + 1
+
+    @property
+    def rate_hz(self) -> float:
+        """Mean rate; 0 with a single reading."""
+        span_ns = self.last_ns - self.first_ns
+        return 1e9 * (self.count - 1) / span_ns if span_ns > 0 else 0.0
+
+    def health(self) -> Health:
+        return Health(Link.CLOSED, "", self.count, lost=self.lost, rate_hz=self.rate_hz)
 
 
 class _Stream(Counted):

@@ -168,15 +168,12 @@ class Redecoder(ABC):
     config: the driver's configuration; said: description of the device, as recorded; name: its name, for messages
     left_out: parts of a frame that its bytes do not determine; compares: the fields of a frame that they determine,
     besides the stamp; listening: whether received bytes are for the decoder now
-    late_answers: answers that were too late for the driver give no frame
-    packet: class of the decoder's events that become readings, where the received bytes alone determine them; None =
-    they depend on what was sent too"""
+    late_answers: answers that were too late for the driver give no frame"""
 
     left_out = ""
     listening = True
     late_answers: ClassVar[bool] = False
     compares: tuple[str, ...]
-    packet: ClassVar[type | None] = None
 
     def __init__(self, config: Any, said: Description, name: str) -> None:
         self.config, self.said, self.name = config, said, name
@@ -197,10 +194,6 @@ class Redecoder(ABC):
 
     def device(self) -> Any:  # noqa: B027
         """What stands for the device where a reading needs it, as `TactileArray.pressure_pa`."""
-
-    def time_ms(self, event: Any) -> int | None:
-        """Time of a packet by the device's clock, which wraps at 2**32 [ms]; None without one."""
-        return None
 
 
 def _nothing(config: Any) -> str:

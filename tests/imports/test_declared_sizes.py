@@ -25,7 +25,7 @@ from deformscope.imports.point_files import read_points
 from deformscope.imports.readers import Message, Topic, open_reader
 from deformscope_drivers.clock import Stamp
 from tests.imports.foreign_files import stores
-from tests.imports.test_captures_and_files import imported, refused
+from tests.imports.test_files_and_folders import imported, refused
 from tests.imports.test_import_mistakes import AXES, FORCES, csv, map_of
 from tests.imports.test_importing import frames_of
 
@@ -356,11 +356,6 @@ def test_stamps_that_no_recording_has_are_one_line(
     error = refused(csv(tmp_path / "t.csv", FORCES), text, tmp_path / "r.rrd", capfd)
     assert "expected times of tip below 4611686018427387904 ns; got" in error
     assert "try: another time_unit, or offset_s" in error
-    (tmp_path / "bus.log").write_text(f"({'9' * 12}.5) can0 100#00\n")
-    pads = '[{name="a", rows=1, columns=1, texel_m=[0.003, 0.003], index=0, finger=0, part=0}]'
-    more = f'driver = "dsa"\noffset_s = {offset}\npads = {pads}\n'
-    text = f'[[streams]]\ndevice = "tip"\nkind = "tactile"\ntopics = ["can0/100"]\n{more}'
-    assert "expected times of tip below" in refused(tmp_path / "bus.log", text, tmp_path / "r.rrd", capfd)
 
 
 def test_what_is_nested_too_deeply_is_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from deformscope.cli import main
-from tests.imports.test_captures_and_files import imported, refused
+from tests.imports.test_files_and_folders import imported, refused
 from tests.imports.test_import_mistakes import MS, Bag
 from tests.imports.test_importing import frames_of, inspected
 

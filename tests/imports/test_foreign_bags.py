@@ -10,7 +10,7 @@ import pytest
 
 from deformscope.cli import main
 from tests.cases import each_once, slow
-from tests.imports.test_captures_and_files import SENSITIVITY, TIP, check_forces, imported, readings, refused
+from tests.imports.test_files_and_folders import imported, refused
 from tests.imports.test_import_mistakes import Bag
 from tests.imports.test_importing import frames_of, inspected
 
@@ -169,54 +169,3 @@ def test_a_folder_whose_metadata_lists_other_topics_is_read(tmp_path: Path) -> N
         "  relative_file_paths: [take_0.mcap]\n"
     )
     check(folder, tmp_path / "r.rrd")
-
-
-def can_lines() -> list[str]:
-    lines = []
-    for at, packet in enumerate(readings(200)):
-        for place, part in enumerate((packet[:8], packet[8:])):
-            lines.append(f"(1592233887.{1000 * at + place:06d}) can0 100#{part.hex().upper()}")
-    return lines
-
-
-OTHER_FRAMES = {
-    "a remote frame": ("701#R", "can0/701#R: remote frames"),
-    "a remote frame with a length": ("701#R8", "can0/701#R: remote frames"),
-    "an FD frame": ("123##1AABBCCDD", "can0/123##: FD or XL frames"),
-    "an empty FD frame": ("123##0", "can0/123##: FD or XL frames"),
-    "an error frame": ("20000080#0000000000000000", "can0/20000080#E: error frames"),
-    "an extended frame": ("00000100#0102030405060708", "can0/00000100: candump"),
-    "an extended frame, received": ("00000100#0102 R", "can0/00000100: candump"),
-    "no data": ("080#", "can0/80: candump"),
-    "a length above 8": ("701#0102030405060708_C", "can0/701: candump"),
-}
-
-
-@pytest.mark.parametrize(("name", "place"), each_once([*OTHER_FRAMES], [0, 31]))
-def test_frames_of_other_devices_cost_no_reading(
-    name: str, place: int, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    frame, said = OTHER_FRAMES[name]
-    lines, source = can_lines(), tmp_path / "bus.log"
-    lines[place:place] = [f"{lines[place].partition(' ')[0]} can0 {frame}"]
-    source.write_text("\n".join([*lines, ""]))
-    text = inspected(source)
-    assert "# can0/100: candump, 400 messages" in text
-    assert f"# {said}" in text
-    asked = f'[[streams]]\n{TIP}topics = ["can0/100"]\nconfig = {{bus = "socketcan:can0", {SENSITIVITY}}}\n'
-    path = imported(source, asked, tmp_path / "r.rrd")
-    check_forces(path, 200, lambda at: 1592233887 * 10**9 + at * 10**6 + 1000)
-    (tmp_path / "map.toml").write_text(asked)
-    capfd.readouterr()
-    assert main(["import", "--inspect", str(source), "--map", str(tmp_path / "map.toml")]) == 0
-    assert "# stream tip (wrench): 1000/s, 100 % valid" in capfd.readouterr().out
-
-
-def test_a_log_that_was_cut_in_its_last_line_is_read(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    source = tmp_path / "bus.log"
-    asked = f'[[streams]]\n{TIP}topics = ["can0/100"]\nconfig = {{bus = "socketcan:can0", {SENSITIVITY}}}\n'
-    source.write_text("\n".join([*can_lines(), "(1592233888.0"]))
-    path = imported(source, asked, tmp_path / "r.rrd")
-    check_forces(path, 200, lambda at: 1592233887 * 10**9 + at * 10**6 + 1000)
-    source.write_text("\n".join([*can_lines(), "(1592233888.0", ""]))
-    assert "expected lines as of candump -L" in refused(source, asked, tmp_path / "s.rrd", capfd)

@@ -17,7 +17,7 @@ from deformscope.files.table_file import read_table
 from deformscope.frames import WrenchFrame
 from deformscope.imports.readers import open_reader
 from tests.cases import Capture, each_once, slow
-from tests.imports.test_captures_and_files import imported, refused
+from tests.imports.test_files_and_folders import imported, refused
 from tests.imports.test_import_mistakes import AXES, map_of
 from tests.imports.test_importing import frames_of, inspected
 

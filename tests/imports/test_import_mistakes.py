@@ -19,7 +19,7 @@ from deformscope.imports.readers import open_reader
 from deformscope.log.layout import RIG, RigLayout
 from deformscope.recording.recorder import Recorder
 from tests.cases import Capture, Patch
-from tests.imports.test_captures_and_files import imported, refused
+from tests.imports.test_files_and_folders import imported, refused
 from tests.imports.test_importing import brought_back, differences, frames_of, inspected
 from tests.log import synthetic_rig as rig
 

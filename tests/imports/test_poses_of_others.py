@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from deformscope_drivers.arm.kinematics import rotation_from_euler_xyz
 from tests.cases import each_once
-from tests.imports.test_captures_and_files import imported, refused
+from tests.imports.test_files_and_folders import imported, refused
 from tests.imports.test_import_mistakes import MS, TRANSFORMS, Bag
 from tests.imports.test_importing import frames_of, inspected
 

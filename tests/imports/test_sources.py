@@ -17,7 +17,7 @@ from deformscope.log.layout import RIG, RigLayout
 from deformscope.recording.ledger import ledger_path
 from deformscope.recording.recorder import Recorder
 from tests.imports.test_bad_bags import MAP, OTHER, steady, write_bag
-from tests.imports.test_captures_and_files import imported, refused
+from tests.imports.test_files_and_folders import imported, refused
 from tests.imports.test_import_mistakes import AXES, FORCES, csv, map_of
 from tests.imports.test_importing import frames_of, inspected
 from tests.log import synthetic_rig as rig
@@ -44,7 +44,7 @@ def as_nobody() -> Iterator[Path]:
                 path.chmod(0o700)
 
 
-@pytest.mark.parametrize("name", ["a.bin", "a.log", "a.csv", "a.parquet", "a.mcap", "folder"])
+@pytest.mark.parametrize("name", ["a.csv", "a.parquet", "a.mcap", "folder"])
 def test_what_may_not_be_read_is_said_to_be_that(name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     refused(tmp_path / "none", map_of(AXES), tmp_path / "r.rrd", capfd)
     with as_nobody() as folder:

@@ -8,7 +8,7 @@ from deformscope_drivers.dsa.config import DsaConfig
 from deformscope_drivers.dsa.device import Dsa
 from deformscope_drivers.dsa.double import DsaDouble
 from deformscope_drivers.dsa.measurer import TactileMeasurer, TactileReading
-from deformscope_drivers.dsa.messages import Id, MatrixInfo, Reading
+from deformscope_drivers.dsa.messages import Id, MatrixInfo
 from deformscope_drivers.dsa.pads import to_pressure
 from deformscope_drivers.framing import FrameDecoder
 from deformscope_drivers.interface import DeviceDriver, Redecoder, Scene
@@ -18,7 +18,6 @@ class DsaAgain(Redecoder):
     """Tactile pads."""
 
     compares = ("counts", "pressure_pa")
-    packet = Reading
 
     def begin(self) -> FrameDecoder[Any]:
         self._described, self._shapes = 0, [(pad.rows, pad.columns) for pad in self.said.pads]
@@ -39,9 +38,6 @@ class DsaAgain(Redecoder):
 
     def device(self) -> Any:
         return SimpleNamespace(pressure_pa=lambda reading: to_pressure(reading.pads, self.config.calibration))
-
-    def time_ms(self, event: Any) -> int | None:
-        return event.timestamp_ms if isinstance(event, Reading) else None
 
 
 def _double(config: DsaConfig, scene: Scene | None) -> Double:

@@ -20,7 +20,6 @@ class OptoforceAgain(Redecoder):
 
     left_out = "`usable`, which also depends on earlier readings"
     compares: tuple[str, ...] = ("counts", "force_n", "torque_nm", "overload")
-    packet = protocol.Reading
 
     def begin(self) -> FrameDecoder[Any]:
         self._measurer = ForceMeasurer(self.config.sensitivities, self.name)

@@ -110,7 +110,6 @@ class Ft300Again(Redecoder):
 
     left_out = "forces, from which the driver may have subtracted a zero"
     compares = ("counts",)
-    packet = Packet
 
     def begin(self) -> FrameDecoder[Any]:
         return Decoder()

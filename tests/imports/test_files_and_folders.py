@@ -1,4 +1,4 @@
-"""Recorded bytes by the drivers' decoders, folders of images and points; and measurements of others, where they are."""
+"""Folders of images and points; and measurements of others, where they are."""
 
 import json
 import os
@@ -10,28 +10,10 @@ import numpy as np
 import pytest
 
 from deformscope.cli import main
-from deformscope.frames import DepthFrame, RawBytes, TactileFrame, WrenchFrame
-from deformscope.imports.import_map import ImportMap, MappedStream
-from deformscope.recording.items import read_items, read_streams
-from deformscope.rows import differing
-from deformscope_drivers.optoforce import protocol
+from deformscope.frames import DepthFrame
 from tests.imports.test_importing import BENCH, cloud, frames_of, inspected
 
 DATA = Path(os.environ.get("DEFORMSCOPE_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
-TIP = 'device = "tip"\nkind = "wrench"\ndriver = "optoforce"\n'
-SENSITIVITY = "sensitivity = {counts_at_nominal = [1000.0, 1000.0, 2000.0], nominal = [10.0, 10.0, 40.0]}"
-
-
-def counts(at: int) -> tuple[int, int, int]:
-    return at, -at, 5 * at
-
-
-def readings(count: int) -> list[bytes]:
-    three = protocol.Kind.THREE_AXIS
-    return [
-        protocol.encode(protocol.Reading(three, 7 * at % 65536, protocol.Status(0), (counts(at),)))
-        for at in range(count)
-    ]
 
 
 def imported(source: Path, text: str, out: Path, status: int = 0) -> Path:
@@ -50,84 +32,16 @@ def refused(source: Path, text: str, out: Path, capfd: pytest.CaptureFixture[str
     return error
 
 
-def check_forces(path: Path, count: int, at_ns: Any) -> None:
-    frames: list[Any] = frames_of(path)["tip"]
-    assert len(frames) == count
-    for at, frame in enumerate(frames):
-        assert isinstance(frame, WrenchFrame)
-        assert (frame.stamp.host_ns, frame.stamp.device_ticks) == (at_ns(at), 7 * at % 65536)
-        assert frame.counts.tolist() == list(counts(at))
-        np.testing.assert_allclose(frame.force_n, [[at / 100, -at / 100, at / 10]], rtol=1e-12)
-
-
-def test_bytes_of_a_daq_are_decoded_and_replayed(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    source = tmp_path / "capture.bin"
-    sent = protocol.encode(protocol.ConfigReply(0)) + b"noise" + b"".join(readings(300))
-    source.write_bytes(sent)
-    text = f'[[streams]]\n{TIP}topics = ["capture.bin"]\nconfig = {{{SENSITIVITY}}}\n'
-    assert "expected rate_hz of tip in the map" in refused(source, text, tmp_path / "r.rrd", capfd)
-    path = imported(source, f"{text}rate_hz = 1000\n", tmp_path / "r.rrd", status=3)
-    assert "tip: 5 bytes skipped" in capfd.readouterr().err
-    check_forces(path, 300, lambda at: at * 10**6)
-    assert b"".join(item.data for item in read_items(path) if isinstance(item, RawBytes)) == sent
-    assert main(["replay", str(path)]) == 0
-    assert "300 frames decoded again, identical" in "".join(capfd.readouterr())
-    assert 'driver = "?"' in inspected(source)
-
-
-BAD_CAPTURES = {
-    "no sensitivity": ("", "config.sensitivity of tip in the map: counts at nominal and nominal forces"),
-    "another kind": ("wrench depth", "kind of tip in the map: wrench, as optoforce gives; got 'depth'"),
-    "the proposal": ("optoforce ?", "driver of tip in the map: one of dsa, optoforce; got '?'"),
-    "no driver": ('driver="optoforce" ', "driver of tip in the map: one of dsa, optoforce; got none"),
-}
-
-
-@pytest.mark.parametrize("name", BAD_CAPTURES)
-def test_a_capture_that_is_none_is_one_line(name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    change, words = BAD_CAPTURES[name]
-    (tmp_path / "capture.bin").write_bytes(b"".join(readings(9)))
-    text = f'[[streams]]\n{TIP}topics = ["capture.bin"]\nrate_hz = 1000\n'.replace("driver = ", "driver=")
-    before, _, after = change.partition(" ")
-    text = text.replace(before, after) if change else text
-    assert words in refused(tmp_path / "capture.bin", text, tmp_path / "r.rrd", capfd)
-
-
-def test_a_driver_of_a_table_and_an_empty_source_are_one_line(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_an_empty_source_is_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "t.csv").write_text("t,Fx\n")
-    text = f'[[streams]]\n{TIP}topics = ["t.csv"]\n'
-    expected = "driver of tip in the map: none, its topics are not bytes of a device; got 'optoforce'"
-    assert expected in refused(tmp_path / "t.csv", text, tmp_path / "r.rrd", capfd)
     text = '[[streams]]\ndevice = "tip"\nkind = "wrench"\ntopics = ["t.csv"]\nrate_hz = 1\n'
     error = refused(tmp_path / "t.csv", text, tmp_path / "r.rrd", capfd)
     assert "frames for the map's streams; got none | try: its topics in the map, which --inspect lists" in error
     (tmp_path / "bus.log").touch()
     assert main(["import", "--inspect", str(tmp_path / "bus.log")]) == 2
-    assert "expected a source with topics; got an empty one" in capfd.readouterr().err
-
-
-def test_a_candump_log_is_decoded_and_replayed(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    lines = []
-    for at, packet in enumerate(readings(200)):
-        parts = packet[:8], packet[8:]
-        stamped = ((f"1592233887.{1000 * at + place:06d}", part) for place, part in enumerate(parts))
-        lines += [f"({stamp}) can0 100#{part.hex().upper()}" for stamp, part in stamped]
-        lines.append(f"(1592233887.{1000 * at + 5:06d}) can0 7FF#00")
-    source = tmp_path / "bus.log"
-    source.write_text("\n".join(lines) + "\n")
-    assert "# can0/100: candump, 400 messages" in inspected(source)
-    config = f'config = {{bus = "socketcan:can0", {SENSITIVITY}}}\n'
-    text = f'[[streams]]\n{TIP}topics = ["can0/100"]\n{config}'
-    path = imported(source, text, tmp_path / "r.rrd")
-    check_forces(path, 200, lambda at: 1592233887 * 10**9 + at * 10**6 + 1000)
-    assert main(["replay", str(path)]) == 0
-    capfd.readouterr()
-    source.write_text("\n".join([*lines[:30], *lines[:3]]) + "\n")
-    assert "stamps of tip that only rise; got one" in refused(source, text, tmp_path / "s.rrd", capfd)
-    source.write_text("\n".join([*lines[:30], "100#00"]) + "\n")
-    assert "expected lines as of candump -L" in refused(source, text, tmp_path / "s.rrd", capfd)
+    error = capfd.readouterr().err
+    assert "expected a bag, tables or images" in error
+    assert "got '.log'" in error
 
 
 def write_depth(folder: Path, count: int = 4) -> None:
@@ -225,32 +139,6 @@ def test_points_of_others(tmp_path: Path) -> None:
     frame: Any = frames_of(imported(source, text, tmp_path / "r.rrd"))["camera"][0]
     assert frame.depth.shape == (480, 640)
     assert 0.1 < np.mean(frame.depth > 0) < 1.0
-
-
-def test_a_capture_of_others(tmp_path: Path) -> None:
-    text = f'[[streams]]\n{TIP}topics = ["capture_10000.bin"]\nrate_hz = 1000\nnan = "keep"\n'
-    path = imported(data("optoforce/capture_10000.bin"), text, tmp_path / "r.rrd")
-    assert len(frames_of(path)["tip"]) == 10_000
-    assert main(["replay", str(path)]) == 0
-
-
-def test_what_pads_sent_gives_their_frames(tmp_path: Path) -> None:
-    raw = [item for item in read_items(BENCH) if isinstance(item, RawBytes) and item.device == "pads"]
-    source = tmp_path / "pads.raw"
-    source.write_bytes(b"".join(item.data for item in raw if not item.sent))
-    (pads,) = (stream.pads for stream in read_streams(BENCH) if stream.device == "pads")
-    stream = MappedStream(device="pads", kind="tactile", topics=("pads.raw",), driver="dsa", pads=pads)
-    path = imported(source, ImportMap((stream,)).to_toml(), tmp_path / "r.rrd")
-    before: list[Any] = frames_of(BENCH)["pads"]
-    now: list[Any] = frames_of(path)["pads"]
-    assert len(now) == len(before) > 100
-    first_ms = before[0].stamp.device_ticks
-    for one, other in zip(before, now, strict=True):
-        assert isinstance(other, TactileFrame)
-        assert other.stamp.device_ticks == one.stamp.device_ticks
-        assert other.stamp.host_ns == (one.stamp.device_ticks - first_ms) * 10**6
-        assert differing(one, other, ("stamp.host_ns", "stamp.late_ns", "index")) is None
-    assert main(["replay", str(path)]) == 0
 
 
 @pytest.mark.slow
