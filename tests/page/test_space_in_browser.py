@@ -5,10 +5,9 @@ from typing import Any
 
 from deformscope.page.server.messages import Playback, StopRun
 from deformscope.page.server.page_server import PageServer
-from tests.page.test_fit_in_browser import Setting, setting
 from tests.page.test_in_browser import DEVICES, Obeyed, browser, fake_viewer, shown, until
 
-__all__ = ["browser", "setting", "shown"]
+__all__ = ["browser", "shown"]
 
 COMMANDS = (
     *("stop", "start-recording", "stop-recording", "keep-recent", "write-note", "begin-episode", "end-episode"),
@@ -17,7 +16,7 @@ COMMANDS = (
 PLACES = """() => {
   window.places = [...document.querySelectorAll("button, input, select, canvas")]
     .filter((one) => one.offsetParent && !one.disabled && !one.closest("dialog"));
-  return window.places.map((one) => one.type === "text" && one.closest("#controls, #fit") !== null);
+  return window.places.map((one) => one.type === "text" && one.closest("#controls") !== null);
 }"""
 SET = "() => window.places.filter((one) => one.type !== 'text').map((one) => [one.checked, one.value])"
 
@@ -48,37 +47,6 @@ def test_space_stops_whatever_has_the_focus_but_where_text_is_typed(shown: Any) 
         assert [type(one) for one in run.commands] == [StopRun] * stops
         assert shown.evaluate(SET) == before
         assert shown.input_value("#note-text") == " "
-
-
-def test_space_does_nothing_on_the_page_of_a_fit_and_q_finishes(setting: Setting, shown: Any) -> None:
-    shown.goto(setting.page.address)
-    until(shown, lambda: shown.inner_text("#fit-error").startswith("average error"))
-    assert shown.inner_text("#stop").split() == ["Finish", "q"]
-    shown.check("#held-left")
-    shown.wait_for_timeout(300)
-    if setting.asked:
-        setting.answer()
-    texts, before = shown.evaluate(PLACES), shown.evaluate(SET)
-    for index in range(len(texts)):
-        focused(shown, index)
-        shown.keyboard.press(" ")
-    shown.keyboard.press("?")
-    assert "Finish" in shown.inner_text("#help")
-    assert "Stop" not in shown.inner_text("#help")
-    shown.keyboard.press("?")
-    shown.wait_for_timeout(300)
-    assert shown.evaluate(SET) == before
-    assert not any(isinstance(one, StopRun) for one in setting.commands)
-    assert "q finishes" in shown.inner_text("#remarks")
-    shown.focus("#held-left")
-    shown.keyboard.press("Enter")
-    assert not shown.is_checked("#held-left")
-    shown.fill("#fit-roi", "")
-    shown.keyboard.press("q")  # text
-    assert not any(isinstance(one, StopRun) for one in setting.commands)
-    shown.focus("#held-left")
-    shown.keyboard.press("q")
-    until(shown, lambda: isinstance(setting.commands[-1], StopRun))
 
 
 def test_space_plays_a_recording_whatever_has_the_focus(shown: Any, tmp_path: Path) -> None:

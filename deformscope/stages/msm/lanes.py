@@ -131,7 +131,7 @@ def rows_for(count: int, width: int, scalar: Any) -> SimpleNamespace:
         " return r;"
     )
     def choose(when: lane, m: rows) -> rows:
-        """m where `when` is positive, else 0 (for any m there). Read unconditionally: a conditional read is not vectorized."""
+        """m where `when` is positive, else 0 (for any m there). All of m is read: compilers vectorize that alone."""
 
     moving = {"load": load, "store": store, "own": own, "row": row, "with_row": with_row}
     return SimpleNamespace(rows=rows, add=add, scale=scale, choose=choose, **moving)
