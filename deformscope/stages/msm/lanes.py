@@ -38,7 +38,7 @@ CPU_FLAGS = (
 )
 """Compiler flags for modules of lanes. Compilers use half of an Intel processor's 512 bits by default. Warp's own flags
 also cap the recursion of the vectorizer, which leaves most of the lanes scalar. Without the high threshold, matrices of
-lanes go through memory at every call. The stack is aligned at 16 bytes only: most vectors kept there would straddle two
+lanes go through memory at every call. The stack is aligned at 16 bytes only: most vectors held there would straddle two
 cache lines (a step took 1.2 times as long on an AMD processor)."""
 
 Ints, Doubles = wp.array(dtype=int), wp.array(dtype=wp.float64)
