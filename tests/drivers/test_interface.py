@@ -6,15 +6,20 @@ import shutil
 import subprocess
 import sys
 import typing
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
+from deformscope.cli import main
 from deformscope_drivers import interface
+from deformscope_drivers.arms import chains
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.interface import DRIVERS, DeviceDriver, Drivers
 from deformscope_drivers.new_package import PackageKind, write_package
+from tests.cases import Capture
 from tests.patience import PATIENCE_S
+from tests.verified import verify_here
 
 PACKAGES = Path(__file__).parents[2] / "drivers" / "packages"
 ALONE = """
@@ -46,6 +51,18 @@ def python(*arguments: str, path: Path | None = None) -> subprocess.CompletedPro
 def deformscope(*arguments: object, path: Path | None = None) -> subprocess.CompletedProcess[str]:
     words = list(map(str, arguments))
     return python("-c", "import sys; from deformscope.cli import main; sys.exit(main(sys.argv[1:]))", *words, path=path)
+
+
+@pytest.fixture
+def install_here(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[Path], None]]:
+    """The packages of a folder, in this process until the test ends."""
+    known = set(sys.modules)
+    for name in ("_entries", "_loaded"):
+        monkeypatch.setattr(DRIVERS, name, {})
+    yield monkeypatch.syspath_prepend
+    for name in set(sys.modules) - known:
+        if name.startswith(("deformscope_my", "deformscope_netft", "broken")):
+            del sys.modules[name]
 
 
 def install(folder: Path, name: str, module: str, content: str) -> None:
@@ -90,17 +107,17 @@ print([name for name in ("jaco", "kuka", "dsa", "webcam") if f"deformscope_drive
     ],
 )
 def test_a_package_that_cannot_be_used_is_refused_where_a_rig_names_it(
-    content: str, words: str, tmp_path: Path
+    content: str, words: str, install_here: Callable[[Path], None], tmp_path: Path, capsys: Capture
 ) -> None:
     install(tmp_path, "broken", "broken_package", content)
+    install_here(tmp_path)
     (tmp_path / "rig.toml").write_text('[devices.tip]\ndriver = "broken"\n')
-    ran = deformscope("doctor", tmp_path / "rig.toml", path=tmp_path)
-    assert ran.returncode == 2
-    assert words in ran.stderr
-    assert "driver broken (broken_package:DRIVER)" in ran.stderr
-    assert len(ran.stderr.splitlines()) <= 5
-    found = python("-c", "from deformscope_drivers.arms import chains; print(len(chains()))", path=tmp_path)
-    assert int(found.stdout) >= 5, "others still work"
+    assert main(["doctor", str(tmp_path / "rig.toml")]) == 2
+    errors = capsys.readouterr().err
+    assert words in errors
+    assert "driver broken (broken_package:DRIVER)" in errors
+    assert len(errors.splitlines()) <= 5
+    assert len(chains()) >= 5, "others still work"
 
 
 def test_an_unknown_name_is_no_driver() -> None:
@@ -161,10 +178,12 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return folder / "run.rrd", site
 
 
-def test_a_strangers_devices_are_recorded_and_decoded_again(recorded: tuple[Path, Path], tmp_path: Path) -> None:
+def test_a_strangers_devices_are_recorded_and_decoded_again(
+    recorded: tuple[Path, Path], install_here: Callable[[Path], None], tmp_path: Path
+) -> None:
     recording, site = recorded
-    ran = deformscope("replay", recording, "--json", tmp_path / "replay.json", path=site)
-    assert ran.returncode == 0, ran.stderr
+    install_here(site)
+    assert main(["replay", str(recording), "--json", str(tmp_path / "replay.json")]) == 0
     found = {one["device"]: one for one in json.loads((tmp_path / "replay.json").read_text())["devices"]}
     assert set(found) == {*typing.get_args(PackageKind), "netft", "optoforce"}
     assert all(one["driver"] == f"my{name}" for name, one in found.items() if name in typing.get_args(PackageKind))
@@ -176,43 +195,43 @@ def test_a_strangers_devices_are_recorded_and_decoded_again(recorded: tuple[Path
 
 
 def test_without_its_package_a_recording_opens_verifies_and_is_exported(
-    recorded: tuple[Path, Path], tmp_path: Path
+    recorded: tuple[Path, Path], tmp_path: Path, capsys: Capture
 ) -> None:
     recording, _ = recorded
-    assert deformscope("verify", recording).returncode == 0
-    ran = deformscope("export", recording, "--to", "csv", "--out", tmp_path / "csv")
-    assert ran.returncode in (0, 3), ran.stderr
+    assert verify_here(recording) == 0
+    assert main(["export", str(recording), "--to", "csv", "--out", str(tmp_path / "csv")]) in (0, 3)
     assert "force" in "".join(path.read_text() for path in (tmp_path / "csv").rglob("*.csv"))
-    ran = deformscope("replay", recording)
-    assert ran.returncode == 0, ran.stderr
-    assert "no package of driver myforce is installed" in ran.stdout + ran.stderr
-    assert deformscope("catalog", recording.parent).returncode == 0
+    capsys.readouterr()
+    assert main(["replay", str(recording)]) == 0
+    assert "no package of driver myforce is installed" in "".join(capsys.readouterr())
+    assert main(["catalog", str(recording.parent)]) == 0
 
 
-def test_a_key_that_its_driver_does_not_have_is_refused(recorded: tuple[Path, Path], tmp_path: Path) -> None:
-    _, site = recorded
+def test_a_key_that_its_driver_does_not_have_is_refused(
+    recorded: tuple[Path, Path], install_here: Callable[[Path], None], tmp_path: Path, capsys: Capture
+) -> None:
+    install_here(recorded[1])
     (tmp_path / "rig.toml").write_text('[devices.tip]\ndriver = "myforce"\nn_per_cuont = 0.02\n')
-    ran = deformscope("doctor", tmp_path / "rig.toml", path=site)
-    assert ran.returncode == 2
-    assert "'n_per_cuont'" in ran.stderr
-    assert "n_per_count" in ran.stderr
+    assert main(["doctor", str(tmp_path / "rig.toml")]) == 2
+    errors = capsys.readouterr().err
+    assert "'n_per_cuont'" in errors
+    assert "n_per_count" in errors
 
 
 @pytest.mark.parametrize("kind", ["force", "camera", "tactile", "arm", "hand"])
 def test_a_new_package_passes_its_tests_as_it_is(kind: str, tmp_path: Path) -> None:
-    ran = deformscope("new-device", "mydevice", "--kind", kind, "--out", tmp_path)
-    assert ran.returncode == 0, ran.stderr
+    words = ["new-device", "mydevice", "--kind", kind, "--out", str(tmp_path)]
+    assert main(words) == 0
     folder = tmp_path / "mydevice"
     ran = python("-m", "pytest", "-q", "-c", str(folder / "pyproject.toml"), str(folder / "tests"), path=folder)
     assert ran.returncode == 0, ran.stdout + ran.stderr
     assert " passed" in ran.stdout
-    assert deformscope("new-device", "mydevice", "--kind", kind, "--out", tmp_path).returncode == 2, "it exists"
+    assert main(words) == 2, "it exists"
 
 
 @pytest.mark.parametrize("name", ["optoforce", "My-Sensor", "", "x" * 41])
 def test_a_name_that_cannot_be_used_is_refused(name: str, tmp_path: Path) -> None:
-    ran = deformscope("new-device", name, "--kind", "force", "--out", tmp_path)
-    assert ran.returncode == 2
+    assert main(["new-device", name, "--kind", "force", "--out", str(tmp_path)]) == 2
     assert not list(tmp_path.iterdir())
 
 
