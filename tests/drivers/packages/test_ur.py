@@ -17,10 +17,11 @@ from scipy.spatial.transform import Rotation
 from deformscope.lab.arms import arm_in_lab
 from deformscope.rig.rig_file import load_rig
 from deformscope_drivers.arm import JointVelocity, MotionStopped
+from deformscope_drivers.arm.hosted import HostedArm
 from deformscope_drivers.arm.kinematics import FloatArray, pose_error
 from deformscope_drivers.contract import ArmContract as ArmDeviceContract
 from deformscope_drivers.contract import DeviceContract
-from deformscope_drivers.contract.devices import wait_until
+from deformscope_drivers.contract.devices import bench_of, wait_until
 from deformscope_drivers.errors import CommandRefused, DeviceError, NotConnected, SettingsRefused
 from deformscope_drivers.health import Link
 from deformscope_drivers.interface import DRIVERS, ArmInLab, DeviceDriver
@@ -33,6 +34,7 @@ from tests.drivers.arm.contract import ArmBench, ArmContract
 from tests.drivers.arm.test_contract import polled
 from tests.drivers.packages.ur_faults import BEFORE, FAULTS, run_fault
 from tests.drivers.packages.ur_memory import MemoryPorts
+from tests.patience import PATIENCE_S
 
 RATES = JointVelocity((6.0, 0.0, 0.0, -4.0, 0.0, 0.0))
 
@@ -40,7 +42,15 @@ RATES = JointVelocity((6.0, 0.0, 0.0, -4.0, 0.0, 0.0))
 class TestUr(DeviceContract, ArmDeviceContract):
     @pytest.fixture
     def driver(self) -> DeviceDriver:
-        return DRIVER
+        return dataclasses.replace(DRIVER, example=lambda: UrConfig(own_process=False))
+
+
+def test_it_moves_from_its_own_process() -> None:
+    with bench_of(DRIVER, lambda time_s: None) as bench, bench.device.open() as arm:
+        assert isinstance(arm, HostedArm)
+        stood = arm.next(PATIENCE_S).joints_deg[0]
+        arm.set_velocity(RATES, 60.0)
+        wait_until(lambda: bool(arm.next(PATIENCE_S).joints_deg[0] > stood + 0.1))
 
 
 class TestUrMoves(ArmContract):
