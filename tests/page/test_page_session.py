@@ -104,6 +104,7 @@ def test_what_a_command_cannot_do_is_said(page: PageServer) -> None:
         assert one.command("write-note", text="x") == ("refused", "it has stopped: by Ctrl-C")
 
 
+@pytest.mark.realtime
 def test_answers_come_at_once(page: PageServer) -> None:
     """Also while the state changes all the time; the median of many, as others have the machine too."""
     page.session.bind(Notebook())
