@@ -1,7 +1,7 @@
 """`python -m studies speed`: time of the engine and of the surface, compared with NumPy, LAPACK and other engines.
 
 python -m studies speed --quick
-python -m studies speed --device cuda --only sweep,gradient,cold,memory
+python -m studies speed --device cuda --only sweep,cold,memory
 python -m studies speed --peers --sizes 216,512,1331,50653 --json speed.json
 
 Contestants take turns on one core, as in `deformscope bench`.
@@ -31,11 +31,11 @@ from studies.engines.memory import memory
 from studies.engines.numpy_step import NumpyLattice
 from studies.engines.peers import Peer, PeerFailed, require_peers
 from studies.engines.starting import cold
-from studies.engines.static_states import gradient, stepped_at_once, sweep
+from studies.engines.static_states import stepped_at_once, sweep
 from studies.engines.surface import surface
 from studies.runner import Study, StudyOptions, StudyReport
 
-Part = Literal["step", "sweep", "theta", "surface", "gradient", "cold", "memory"]
+Part = Literal["step", "sweep", "theta", "surface", "cold", "memory"]
 PARTS: tuple[Part, ...] = get_args(Part)
 PEER_MOST = 200_000
 """Number of particles up to which pypbd's body is built in seconds and a few GB."""
@@ -57,12 +57,12 @@ PHYSICS = {
 @dataclass(frozen=True, slots=True)
 class SpeedConfig(StudyOptions):
     """Compare the time of a step, of many candidates, of a single cluster and of a surface with those of other
-    engines, and of gradients and first results."""
+    engines, and of first results."""
 
     only: Annotated[
         tuple[Part, ...] | None, flags.one_word("CASE,CASE...", flags.some_of(PARTS), flags.joined(",")), flags.unset
     ] = None
-    """Measure only these, of step, sweep, theta, surface, gradient, cold and memory."""
+    """Measure only these, of step, sweep, theta, surface, cold and memory."""
     peers: bool = False
     """Run other engines too, on the CPU: pypbd, and mujoco and newton if installed (deformscope[peers])."""
     quick: bool = False
@@ -106,7 +106,6 @@ def _rows(part: Part, peers: bool) -> Callable[[BenchPlan, Note], Iterator[Timin
         "sweep": partial(_sweeps, peers=peers),
         "theta": theta,
         "surface": surface,
-        "gradient": gradient,
         "cold": cold,
         "memory": memory,
     }

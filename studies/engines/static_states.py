@@ -1,8 +1,6 @@
-"""Engine cases besides those of `deformscope bench`: sweeps and gradients."""
+"""Engine cases besides those of `deformscope bench`: sweeps."""
 
 from collections.abc import Iterator
-from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -47,19 +45,3 @@ def stepped_at_once(plan: BenchPlan, candidates: int) -> Contestant:
     stepping = Stepping(plan.engine(body, precision="float32"), body, plan, candidates)
     what = f"{candidates} candidates of {counted(body.particles)} stepped at once"
     return Contestant(what, OURS, stepping, "steps/s", candidates, facts={"bits": 32})
-
-
-def gradient(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
-    """The gradient of an error over every cluster's beta, compared with one static state."""
-    for body, size in ((poked(MIDDLE), CLUSTER), (sheet(), 4)):
-        what = f"{body.named}, clusters of {size}^{body.rest.shape[1]}"
-        note(f"gradient: {what}")
-        engine: Any = plan.engine(body, size)
-        position = engine.relax(body.held_position, BETA).position
-        cotangent = np.random.default_rng(0).standard_normal(position.shape)
-        settle = plan.turn(partial(engine.relax, body.held_position, BETA))
-        descend = plan.turn(partial(engine.gradient, position, BETA, 0.0, cotangent=cotangent))
-        facts = {"clusters": engine.cluster_count}
-        state = Contestant(f"static state, {what}", OURS, settle)
-        slope = Contestant(f"gradient by every cluster's beta, {what}", OURS, descend, beside=state, facts=facts)
-        yield from compare("gradient", [state, slope], plan.rounds_of_steps)

@@ -176,11 +176,6 @@ class Operator(ABC):
     def cluster_values(self, values: FloatArray) -> Field:
         """(B, C) one value for each cluster, as the kernels read them."""
 
-    @abstractmethod
-    def cluster_gradient(self, adjoint: Field) -> FloatArray:
-        """(B, C) sum over each cluster's particles of m_i <adjoint_i, d goal_i / d beta_c>. The derivative of the goals
-        by beta is the last output of `residual`."""
-
 
 class Body(ABC):
     """Rest data of a body on a device. Lengths in particle spacings."""

@@ -72,9 +72,6 @@ class GeneralBody(Body):
             "row_clusters": upload(cluster_of[order], int, device),
             "row_basis": upload(np.concatenate(row_basis)[order], scalar, device),
         }
-        self.member_basis = np.concatenate(row_basis)
-        self.member_mass = rest.mass[clusters.members]
-        self.members, self.offsets = clusters.members, clusters.offsets
 
     def layout(self, candidates: int, *, filled: bool = False) -> Layout:
         width, abreast = widths(candidates, self.scalar, self.device, cells_in_lanes=False)
@@ -215,16 +212,6 @@ class GeneralOperator(Operator):
         host = np.zeros((values.shape[2], self.cluster_stride))
         host[:, : self.cluster_stride - layout.width] = rows.reshape(values.shape[2], -1)
         return upload(host, layout.scalar, layout.device)
-
-    def cluster_gradient(self, adjoint: Field) -> FloatArray:
-        """(B, C): see `Operator.cluster_gradient`."""
-        body, d = self.body, self.dim
-        maps = self._cluster_fields(self.maps, d + d * body.terms)[:, :, d:]
-        maps = maps.reshape(*maps.shape[:2], body.terms, d)
-        pull = self.layout.get(adjoint, d)[:, body.members] * body.member_mass[:, None]
-        cluster_of = np.repeat(np.arange(body.cluster_count), np.diff(body.offsets))
-        each = np.einsum("bmd,bmtd,mt->bm", pull, maps[:, cluster_of], body.member_basis)
-        return np.asarray(np.add.reduceat(each, body.offsets[:-1], axis=1))
 
     def _cluster_fields(self, field: Field, rows: int) -> FloatArray:
         """(B, C, rows) of a field of clusters."""

@@ -305,18 +305,6 @@ class LatticeOperator(Operator):
         host[:, self.body.clusters_at, :] = self.by_group(values).transpose(0, 2, 1)
         return upload(host, layout.scalar, layout.device, 2 * layout.width)
 
-    def cluster_gradient(self, adjoint: Field) -> FloatArray:
-        """(B, C): see `Operator.cluster_gradient`."""
-        body, axes = self.body, self.dim
-        maps = self.layout.get(self.maps, self.dim * (1 + axes), body.clusters_at)
-        weighted = np.zeros((self.layout.candidates, body.count, self.dim))
-        weighted[:, body.cell] = self.layout.get(adjoint, self.dim) * body.rest.mass[:, None]
-        weighted = weighted.reshape(-1, *body.shape, self.dim)
-        powers = [np.zeros(3, dtype=int), *np.eye(3, dtype=int)[3 - axes :]]
-        sums = [_window_sums(weighted, body.window, each) for each in powers]
-        kept = np.concatenate([each[:, body.corner] for each in sums], axis=-1)
-        return np.asarray(np.einsum("bcr,bcr->bc", maps, kept))
-
     def stay_stepping(
         self, pair: Field, swapped: bool, motion: object, parameters: Parameters, steps: int, ran_away: Field
     ) -> None:

@@ -91,16 +91,6 @@ class Sensitivity:
     converged: bool
 
 
-@dataclass(frozen=True, slots=True)
-class Gradient:
-    """Gradient of a function of static states: by beta and theta (B,), and by the beta of each cluster (B, C)."""
-
-    beta: FloatArray
-    theta: FloatArray
-    beta_by_cluster: FloatArray
-    converged: bool
-
-
 class Moving:
     """The state of time stepping, on the device: displacements now and one step before, for B bodies.
 
@@ -511,43 +501,6 @@ class Msm:
                 method.layout.put(self._displacements(position), method.u)
                 method.evaluate()
         return Sensitivity(out[0], out[1], good)
-
-    def gradient(
-        self,
-        position: FloatArray,
-        beta: FloatArray | float,
-        theta: FloatArray | float = 0.0,
-        *,
-        cotangent: FloatArray,
-        volume: Volume = "scale",
-    ) -> Gradient:
-        """Gradient of a function of static states, given its own by positions: one symmetric solve for all parameters.
-
-        position: as in `sensitivity`; cotangent: (K, d) or (B, K, d), the function's derivative by each coordinate
-        (that of held particles does not count). With eq. 3.17 overlapping clusters have no symmetric equations; there
-        the derivatives by beta and theta are solved for, and those by cluster are not given (nan)."""
-        cotangent = np.array(cotangent, np.float64).reshape(-1, *self.rest.shape)
-        if self.slips:
-            cotangent[:, self._particles.slipping, self._particles.held_axis] = 0.0
-        position = np.asarray(position, np.float64).reshape(-1, *self.rest.shape)
-        theta_b = np.atleast_1d(np.asarray(theta, np.float64))
-        if self._one is not None or (theta_b.any() and volume == "scale"):
-            changes = self.sensitivity(position, beta, theta, volume=volume)
-            free = np.where(self.free[:, None], cotangent, 0.0)
-            by_beta, by_theta = (np.sum(free * each, axis=(1, 2)) for each in (changes.beta, changes.theta))
-            by_cluster = by_beta[:, None] if self._one else np.full((len(by_beta), self.cluster_count), np.nan)
-            return Gradient(by_beta, by_theta, by_cluster, changes.converged)
-        method = self._at(position, beta, theta, volume)
-        metric = self._particles.metric[:, None]
-        right = np.divide(cotangent, metric, out=np.zeros_like(cotangent), where=metric > 0)
-        method.layout.put(right * self.scale, method.residual)
-        good = method.solve(LINEAR_TOLERANCE[self.precision])
-        adjoint = method.layout.get(method.step, self.dim)
-        method.derive(BY_BETA)
-        by_cluster = method.operator.cluster_gradient(method.step) / self._particles.mass.mean()
-        method.derive(BY_THETA, VOLUMES[volume])
-        by_theta = np.sum(metric * adjoint * method.layout.get(method.residual, self.dim), axis=(1, 2))
-        return Gradient(by_cluster.sum(axis=1), by_theta, by_cluster, good)
 
     def _at(
         self,

@@ -1,6 +1,5 @@
 """Derivatives of static states by their parameters, against central differences of `relax`."""
 
-import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -154,61 +153,6 @@ def test_sensitivity_is_the_slope_of_static_states(device: str, case: Case) -> N
     assert np.all(found.theta[:, made.held] == 0.0)
 
 
-@pytest.mark.parametrize("case", slow_but([*QUICK, *QUICK_SINGLE], [*CASES, *SINGLE]), ids=_name)
-def test_gradient_is_the_slope_of_a_function_of_static_states(device: str, case: Case) -> None:
-    """By beta and theta; the function does not care for held particles, though its own gradient names them."""
-    made = _build(case, device)
-    beta = 0.6
-    position = _state(made, case, beta, case.theta)
-    cotangent = made.rng.normal(size=position.shape)
-    found = made.engine.gradient(position, beta, case.theta, cotangent=cotangent, volume=case.volume)
-    assert found.converged
-    weight = cotangent * made.engine.free[:, None]
-
-    def value(beta: float, theta: float) -> FloatArray:
-        return np.sum(weight * _state(made, case, beta, theta), axis=(1, 2))
-
-    _close(found.beta, _difference(lambda b: value(b, case.theta), beta))
-    _close(found.theta, _difference(lambda t: value(beta, t), case.theta))
-    if case.volume == "scale" and case.theta > 0.0 and case.kind != "single":
-        assert found.beta_by_cluster.shape == (1, made.cluster_count)
-        assert np.isnan(found.beta_by_cluster).all()
-    else:
-        np.testing.assert_allclose(found.beta_by_cluster.sum(axis=1), found.beta, rtol=1e-9)
-
-
-@pytest.mark.parametrize(
-    "case",
-    slow_but(
-        [c for c in QUICK if c.volume == "project"], [c for c in CASES if c.volume == "project" or c.theta == 0.0]
-    ),
-    ids=_name,
-)
-def test_gradient_by_the_beta_of_each_cluster(device: str, case: Case) -> None:
-    made = _build(case, device)
-    count = made.cluster_count
-    beta = made.rng.uniform(0.3, 0.85, (1, count))
-    position = _state(made, case, beta, case.theta)
-    cotangent = made.rng.normal(size=position.shape)
-    found = made.engine.gradient(position, beta, case.theta, cotangent=cotangent, volume=case.volume)
-    assert found.converged
-    assert found.beta_by_cluster.shape == (1, count)
-    weight = cotangent * made.engine.free[:, None]
-    some = np.unique(np.r_[0, count - 1, made.rng.choice(count, min(4, count), replace=False)])
-
-    def value(cluster: int, b: float) -> FloatArray:
-        changed = beta.copy()
-        changed[0, cluster] = b
-        return np.sum(weight * _state(made, case, changed, case.theta), axis=(1, 2))
-
-    expected = np.array([_difference(functools.partial(value, c), beta[0, c])[0] for c in some])
-    # as a share of the largest of all, of which these are some
-    largest = np.abs(found.beta_by_cluster).max()
-    np.testing.assert_allclose(found.beta_by_cluster[0, some], expected, rtol=0.0, atol=TOLERANCE * largest)
-    assert np.abs(expected).max() > 1e-3 * largest
-    np.testing.assert_allclose(found.beta, found.beta_by_cluster.sum(axis=1), rtol=1e-12)
-
-
 ROUNDING = 2e-15
 """Relative noise of what goes in: as much as other kernels of a BLAS change what they give."""
 
@@ -225,8 +169,6 @@ def test_every_solve_has_margin_to_rounding(device: str, case: Case, monkeypatch
         state = made.engine.relax(position, 0.6, case.theta, volume=case.volume, tolerance=tolerance)
         assert state.converged.all()
         assert made.engine.sensitivity(state.position, 0.6, case.theta, volume=case.volume).converged
-        cotangent = rng.normal(size=state.position.shape)
-        assert made.engine.gradient(state.position, 0.6, case.theta, cotangent=cotangent, volume=case.volume).converged
 
 
 BATCH = [
@@ -245,26 +187,13 @@ def test_derivatives_of_candidates_are_those_of_each_alone(device: str, case: Ca
     beta = np.linspace(0.3, 0.9, size)
     theta = np.linspace(0.5, 1.0, size) * case.theta
     position = _state(made, case, beta, theta)
-    cotangent = made.rng.normal(size=position.shape)
     changes = made.engine.sensitivity(position, beta, theta, volume=case.volume)
-    slopes = made.engine.gradient(position, beta, theta, cotangent=cotangent, volume=case.volume)
     assert changes.converged
-    assert slopes.converged
     for row in range(size):
         b, t = float(beta[row]), float(theta[row])
         one = made.engine.sensitivity(position[row], b, t, volume=case.volume)
         np.testing.assert_allclose(changes.beta[row], one.beta[0], rtol=0.0, atol=1e-8 * np.abs(one.beta).max())
         np.testing.assert_allclose(changes.theta[row], one.theta[0], rtol=0.0, atol=1e-8 * np.abs(one.theta).max())
-        alone = made.engine.gradient(position[row], b, t, cotangent=cotangent[row], volume=case.volume)
-        for name in ("beta", "theta", "beta_by_cluster"):
-            np.testing.assert_allclose(getattr(slopes, name)[row], getattr(alone, name)[0], rtol=1e-7)
-
-
-def _answers(made: Set, case: Case, position: FloatArray, cotangent: FloatArray) -> FloatArray:
-    slopes = made.engine.gradient(position, 0.6, case.theta, cotangent=cotangent, volume=case.volume)
-    changes = made.engine.sensitivity(position, 0.6, case.theta, volume=case.volume)
-    again = made.engine.relax(made.position, 0.6, case.theta, volume=case.volume)
-    return np.concatenate([each.ravel() for each in (slopes.beta, changes.beta, changes.theta, again.position)])
 
 
 def test_derivatives_leave_nothing_behind_for_later_calls(device: str) -> None:
@@ -273,32 +202,22 @@ def test_derivatives_leave_nothing_behind_for_later_calls(device: str) -> None:
         case = Case(PLANE, 3, "lattice", volume, theta)
         made = _build(case, device)
         position = _state(made, case, 0.6, theta)
-        cotangent = made.rng.normal(size=position.shape)
 
-        def ask(
-            made: Set = made, case: Case = case, at: FloatArray = position, by: FloatArray = cotangent
-        ) -> FloatArray:
-            slopes = made.engine.gradient(at, 0.6, case.theta, cotangent=by, volume=case.volume)
+        def ask(made: Set = made, case: Case = case, at: FloatArray = position) -> FloatArray:
             changes = made.engine.sensitivity(at, 0.6, case.theta, volume=case.volume)
             again = made.engine.relax(made.position, 0.6, case.theta, volume=case.volume)
-            return np.concatenate(
-                [slopes.beta, slopes.theta, changes.beta.ravel(), changes.theta.ravel(), again.position.ravel()]
-            )
+            return np.concatenate([each.ravel() for each in (changes.beta, changes.theta, again.position)])
 
         first = ask()
-        made.engine.gradient(position, 0.2, theta, cotangent=-cotangent, volume=volume)
+        made.engine.sensitivity(position, 0.2, theta, volume=volume)
         made.engine.residual(position + 0.001, 0.9)
         np.testing.assert_array_equal(ask(), first)
 
 
 def test_where_nothing_changes_the_derivatives_are_zero(device: str) -> None:
-    """At rest no beta moves anything, and a function that does not change has no gradient."""
+    """At rest no beta moves anything."""
     body = pushed((6, 7), np.random.default_rng(30))
     engine = Msm(body.rest, body.clusters(3), body.held, device=device)
     still = engine.sensitivity(body.rest, [0.2, 0.7])
     assert still.converged
     np.testing.assert_array_equal(still.beta, 0.0)
-    static = engine.relax(body.held_position, 0.7)
-    found = engine.gradient(static.position, 0.7, cotangent=np.zeros_like(static.position))
-    assert found.converged
-    np.testing.assert_array_equal(found.beta_by_cluster, 0.0)
