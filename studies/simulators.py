@@ -19,6 +19,7 @@ from tyro.conf import arg
 import deformscope as ds
 from deformscope.arrays import FloatArray
 from deformscope.config import flags
+from deformscope.config.simulate import Target
 from deformscope.files.model_file import save_model
 from deformscope.lab.slab import RigidTip, Slab, press
 from deformscope.pictures.report import Table
@@ -43,8 +44,9 @@ class SlabCase:
     young: float
     poisson: float
     vertices: int
-    timestep_s: float
+    timestep_s: float | None
     python: str | None
+    target: Target = "mujoco"
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +68,7 @@ def _pair(path: Path, dent: FloatArray, points: FloatArray, force: float, at: tu
 
 
 def try_slab(case: SlabCase) -> SlabOutcome:
-    """Press a slab of finite elements, and repeat that in MuJoCo."""
+    """Press a slab of finite elements, and repeat that in another simulator."""
     slab, tip = Slab((SIDE, SIDE, THICKNESS), case.young, case.poisson), RigidTip((HALF, HALF))
     points = slab.grid(0.01)
     with tempfile.TemporaryDirectory() as name:
@@ -92,7 +94,7 @@ def try_slab(case: SlabCase) -> SlabOutcome:
             out=folder / "body",
             against=pairs,
             held_out=2,
-            target="mujoco",
+            target=case.target,
             python=case.python,
             vertices=case.vertices,
             timestep_s=case.timestep_s,
@@ -105,24 +107,28 @@ def try_slab(case: SlabCase) -> SlabOutcome:
 
 @dataclass(frozen=True, slots=True)
 class SimulatorsConfig(StudyOptions):
-    """Fit MuJoCo to slabs of finite elements whose modulus is known."""
+    """Fit a simulator to slabs of finite elements whose modulus is known."""
 
+    target: Annotated[Target, arg(name="in")] = "mujoco"
+    """The simulator."""
     cases: Annotated[int, flags.least(1)] = 12
     """Slabs, each a minute or more for each setting."""
     vertices: Annotated[tuple[int, ...], arg(metavar="INT...")] = (500,)
     """About how many vertices the body has."""
-    timestep_s: Annotated[tuple[float, ...], arg(metavar="SECONDS...")] = (0.005,)
-    """Time steps."""
+    timestep_s: Annotated[tuple[float, ...], arg(metavar="SECONDS...")] = ()
+    """Time steps; default: the simulator's."""
     python: Annotated[Path | None, flags.one_word("PYTHON", Path), flags.unset] = None
-    """The interpreter with MuJoCo; default: this one."""
+    """The interpreter with it; default: this one."""
 
 
 def trials(options: SimulatorsConfig) -> list[Trials[SlabCase, SlabOutcome]]:
     cases = [
-        SlabCase(young, poisson, vertices, step, None if options.python is None else str(options.python))
+        SlabCase(
+            young, poisson, vertices, step, None if options.python is None else str(options.python), options.target
+        )
         for young, poisson in CASES[: options.cases]
         for vertices in options.vertices
-        for step in options.timestep_s
+        for step in options.timestep_s or (None,)
     ]
     return [Trials("slabs", try_slab, cases)]
 
@@ -134,7 +140,7 @@ def report(options: SimulatorsConfig, seconds: float, outcomes: Sequence[SlabOut
     )
     rows = [_row(one) for one in outcomes]
     version = outcomes[0].found["version"] if outcomes else ""
-    return StudyReport([Table(rows, names, f"MuJoCo {version}, {seconds:.0f} s")], {"slabs": outcomes})
+    return StudyReport([Table(rows, names, f"{options.target} {version}, {seconds:.0f} s")], {"slabs": outcomes})
 
 
 def _row(one: SlabOutcome) -> tuple[str, ...]:
@@ -150,7 +156,7 @@ def _row(one: SlabOutcome) -> tuple[str, ...]:
         f"{one.case.young / 1e3:g}",
         f"{one.case.poisson:g}",
         f"{found['vertices']}",
-        f"{1e3 * one.case.timestep_s:g}",
+        f"{1e3 * float(str(found['timestep_s'])):g}",
         f"{needed['young_pa'] / 1e3:.3g}",
         f"{needed['poisson']:.2f}",
         " ".join(name for name, known in determined.items() if known) or "none",

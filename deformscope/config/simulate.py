@@ -11,9 +11,10 @@ from deformscope.config.indent import TipText, parse_tip
 from deformscope.config.options import RecordedOptions, ViewOptions, either
 from deformscope.errors import InputError
 
-Target = Literal["mujoco"]
+Target = Literal["mujoco", "newton"]
 PythonFlag = Annotated[Path | None, flags.one_word("PYTHON", Path), flags.unset]
 TipFlag = Annotated[TipText | None, flags.one_word("KIND:SIZE", parse_tip), flags.unset]
+_step = flags.Rule(lambda value: 0.0 < value <= 0.1, "a {flag} above 0, up to 0.1")
 _ratio = flags.Rule(lambda value: 0.0 <= value < 0.5, "a {flag} of 0 to below 0.5")
 
 
@@ -25,7 +26,8 @@ class SimulateConfig(RecordedOptions):
     source: Annotated[Path, Positional, arg(metavar="MODEL.npz|FILE.rrd"), flags.Reads()]
     """A model of layers that `deformscope calibrate ... --save` wrote, or the recording of an exploration."""
     target: Annotated[Target, arg(name="in")]
-    """The simulator. It must be installed: pip install mujoco."""
+    """The simulator. It must be installed: pip install mujoco, or newton usd-core
+    newton-usd-schemas."""
     out: flags.Folder
     """Folder for the body: the simulator's own file, and VTU and OBJ for others."""
     python: PythonFlag = None
@@ -48,8 +50,8 @@ class SimulateConfig(RecordedOptions):
     """Size of its cells [m], in place of --vertices."""
     density: Annotated[float, flags.Rule(lambda value: value > 0.0, "a {flag} above 0")] = 100.0
     """Density [kg/m^3]: a simulator's contact can depend on it."""
-    timestep_s: Annotated[float, flags.Rule(lambda value: 0.0 < value <= 0.1, "a {flag} above 0, up to 0.1")] = 0.005
-    """Time step [s]."""
+    timestep_s: Annotated[float | None, flags.one_word("SECONDS", float), flags.unset, _step] = None
+    """Time step [s]; default: 0.005 for MuJoCo, 0.002 for Newton."""
     limit_s: Annotated[float, flags.Rule(lambda value: value > 0.0, "a {flag} above 0")] = 1800.0
     """Time limit [s], after which the best fit so far is the result."""
     output: OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)

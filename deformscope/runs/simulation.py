@@ -23,7 +23,7 @@ from deformscope.runs.prediction import poke_of
 from deformscope.runs.result import SourceResult, open_recorder
 from deformscope.session import Step
 from deformscope.simulators.body_files import write_body, write_meshes
-from deformscope.simulators.target_process import TRIED, TargetFailed, TargetProcess, target_process
+from deformscope.simulators.target_process import TARGETS, TargetFailed, TargetProcess, target_process
 from deformscope.stages.map.exploration import SurfaceEstimate, TouchEstimate
 from deformscope.stages.msm.poke import Tip
 from deformscope.stages.msm.quiet import quiet_warp
@@ -47,8 +47,8 @@ from deformscope.stages.simulate.target_fit import (
 from deformscope.terminal import Interruption, Progress, say, until_interrupted
 
 TARGET = "#2a9d4a"
-POISSON, CONTACT = 0.3, 2.0
-"""Start of the fit: Poisson's ratio, and the stiffness of contact per modulus."""
+POISSON = 0.3
+"""Poisson's ratio at the start of the fit."""
 DEPTHS = (0.4, 0.7, 1.0)
 """Shares of a touch's depth at which its force is compared."""
 SLOWER, STEPS_TRIED, STABLE = 2.0, 5, 0.05
@@ -118,12 +118,17 @@ class SimulationResult(SourceResult):
         found = [getattr(one.after, kind) for one in self.pokes if one.held_out == held_out]
         return float(np.sqrt(np.mean(np.square(found)))) if found else None
 
+    def _how(self) -> dict[str, float]:
+        """The target's own numbers of its way to a static state: the largest of the pokes."""
+        names = self.pokes[0].answer.how
+        return {name: max(one.answer.how[name] for one in self.pokes) for name in names}
+
     def as_json(self) -> Json:
         steps = [one.answer.step_s for one in self.pokes]
         found: Json = {
             "target": self.target,
             "version": self.version,
-            "tried_version": TRIED[self.target],
+            "tried_version": TARGETS[self.target].tried,
             "body": self.body,
             "vertices": len(self.mesh.vertices),
             "cells": self.mesh.cells,
@@ -131,7 +136,8 @@ class SimulationResult(SourceResult):
             "needed": {
                 "young_pa": self.modulus_pa,
                 "poisson": self.fit.parameters.poisson,
-                "contact_per_s2": self.fit.parameters.contact,
+                "contact": self.fit.parameters.contact,
+                "contact_unit": TARGETS[self.target].unit,
             },
             "deviation": dict(zip(("log_young", "poisson", "log_contact"), self.fit.deviation, strict=True)),
             "determined": {name: self.fit.determined(name) for name in NAMES},
@@ -144,6 +150,7 @@ class SimulationResult(SourceResult):
             "penetration_m": max(float(one.answer.penetration.max()) for one in self.pokes),
             "timestep_s": self.timestep_s,
             "stable_timestep_s": self.stable_s,
+            "static_state": self._how(),
             "seconds_per_step": float(np.median(steps)),
             "seconds": self.seconds,
             "pokes": [one.as_json() for one in self.pokes],
@@ -156,7 +163,7 @@ class SimulationResult(SourceResult):
         for label, name, text in (
             ("modulus needed", "young", f"{needed.young / 1e3:.4g} kPa, measured {self.measured.young / 1e3:.4g} kPa"),
             ("Poisson's ratio", "poisson", f"{needed.poisson:.3g}"),
-            ("stiffness of contact", "contact", f"{needed.contact:.3g} /s^2"),
+            ("stiffness of contact", "contact", f"{needed.contact:.3g} {TARGETS[self.target].unit}"),
         ):
             fitted = self.fit.free[NAMES.index(name)]
             known = "" if self.fit.determined(name) else " (not determined by these pokes)" if fitted else " (given)"
@@ -167,6 +174,8 @@ class SimulationResult(SourceResult):
         found += [("penetration", f"{inside:.2g} mm of {1e3 * deepest.poke.seen.depth:.3g} mm")]
         found += [("time step", f"{1e3 * self.timestep_s:.3g} ms; the force stays the same {stable}")]
         found += [("seconds a step", f"{np.median([one.answer.step_s for one in self.pokes]):.2g}")]
+        if how := self._how():
+            found += [("of a poke, at most", ", ".join(f"{value:.3g} {name}" for name, value in how.items()))]
         found += [("converged", "yes" if self.fit.converged else "NO: ended before")]
         body = f"{self.body}, {len(self.mesh.vertices)} vertices"
         rows = [
@@ -222,25 +231,27 @@ def simulate(config: SimulateConfig, progress: Progress | None = None) -> Simula
     mesh = slab_around(surface, [one.seen for one in pokes], config.spacing_m, config.vertices)
     test = _held_out(pokes, config.held_out)
     fitted = [one for one in pokes if not any(one is other for other in test)]
+    about = TARGETS[config.target]
     poisson = POISSON if config.poisson is None else config.poisson
     young = _modulus(fitted, surface.thickness, poisson)
-    start = TargetParameters(young, poisson, CONTACT * young)
+    start = TargetParameters(young, poisson, about.contact * young)
+    timestep_s = config.timestep_s or about.timestep_s
     make_folder(config.out)
     settings = {"command": "simulate", **cast("dict[str, object]", plain(config))}
     with target_process(config.target, config.python) as target, until_interrupted() as asked:
-        if target.version != TRIED[config.target]:
-            say(f"{config.target} {target.version} was not tried with this program: {TRIED[config.target]} was")
+        if target.version != about.tried:
+            say(f"{config.target} {target.version} was not tried with this program: {about.tried} was")
 
-        runs = _Runs(target, config, mesh, began, asked)
+        runs = _Runs(target, config, mesh, timestep_s, began, asked)
         first = runs.press(start, pokes, anyway=True)
         free = (True, config.poisson is None, True)
-        cost = (time.monotonic() - began) * len(fitted) / len(pokes)
+        cost = sum(one.step_s * one.how.get("steps", 0.0) for one in first) * len(fitted) / len(pokes)
         say(f"{len(mesh.vertices)} vertices: a run of all pokes takes some {cost:.0f} s, the fit 8 to 21 runs")
         note = progress or (lambda what, done, total: None)
         found = fit_target(mesh, fitted, runs.press, start, free, lambda done, total: note("runs", done, total))
         last = runs.press(found.parameters, pokes, anyway=True)
         stable = runs.stable_step(found.parameters, pokes, last)
-    body = write_body(config.out, mesh, found.parameters, config.density, config.timestep_s)
+    body = write_body(config.target, config.out, mesh, found.parameters, config.density, timestep_s)
     write_meshes(config.out, mesh, last[-1].moved, found.parameters)
     answers = []
     for poke, before, after in zip(pokes, first, last, strict=True):
@@ -258,7 +269,7 @@ def simulate(config: SimulateConfig, progress: Progress | None = None) -> Simula
         fit=found,
         pokes=tuple(answers),
         stable_s=stable,
-        timestep_s=config.timestep_s,
+        timestep_s=timestep_s,
         seconds=time.monotonic() - began,
     )
     with open_recorder(config.output, settings, FINDINGS.variant("simulate")) as recorder:
@@ -274,11 +285,18 @@ class _Runs:
     """Runs of the target: the body is written once, and pressed with given parameters."""
 
     def __init__(
-        self, target: TargetProcess, config: SimulateConfig, mesh: SlabMesh, began: float, asked: Interruption
+        self,
+        target: TargetProcess,
+        config: SimulateConfig,
+        mesh: SlabMesh,
+        timestep_s: float,
+        began: float,
+        asked: Interruption,
     ) -> None:
         self._target, self._config, self._began, self._asked = target, config, began, asked
+        self._timestep_s = timestep_s
         start = TargetParameters(1e4, POISSON, 1e4)
-        self._body = write_body(config.out, mesh, start, config.density, config.timestep_s)
+        self._body = write_body(config.target, config.out, mesh, start, config.density, timestep_s)
         self._known: dict[tuple[TargetParameters, str], TargetPoke] = {}
 
     def press(
@@ -291,7 +309,7 @@ class _Runs:
                 self._known[parameters, poke.name] = answer
         except TargetFailed as error:
             target = self._config.target
-            hint = f"a shorter --timestep-s, a longer --limit-s, or {target} {TRIED[target]}"
+            hint = f"a shorter --timestep-s, a longer --limit-s, or {target} {TARGETS[target].tried}"
             raise InputError(
                 "the target to press the body", f"{target} {self._target.version}: {error}", hint
             ) from None
@@ -315,12 +333,12 @@ class _Runs:
             where: Json = {"at_m": one.seen.at[:2], "tip": tip.shape, "size_m": tip.size, "slips": tip.slips}
             asked.append(where | {"depth_m": one.depth})
         request: Json = {"do": "press", "asset": self._body.resolve(), "pokes": asked, "parameters": parameters}
-        request |= {"timestep_s": timestep_s or self._config.timestep_s}
+        request |= {"timestep_s": timestep_s or self._timestep_s}
         answers = self._target.ask(cast("Json", plain(request)), lambda: time.monotonic() < until)
         found = []
         for answer in answers:
             force, inside, rest, moved = (np.array(answer[name]) for name in ANSWERED)
-            found.append(TargetPoke(force, inside, rest, moved, float(answer["step_s"])))
+            found.append(TargetPoke(force, inside, rest, moved, float(answer["step_s"]), answer.get("how", {})))
         return found
 
     def stable_step(
@@ -328,7 +346,7 @@ class _Runs:
     ) -> float | None:
         """The longest time step, doubled again and again, with which the deepest poke's force stays; None = none."""
         at = max(range(len(pokes)), key=lambda number: pokes[number].seen.depth)
-        found, step = None, self._config.timestep_s
+        found, step = None, self._timestep_s
         try:
             for _ in range(STEPS_TRIED):
                 force = self._press(parameters, [pokes[at]], step)[0].force[-1]

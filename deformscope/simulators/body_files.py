@@ -1,4 +1,4 @@
-"""A body's files: for MuJoCo an MJCF with a flex, for others VTU and OBJ."""
+"""A body's files: for MuJoCo an MJCF with a flex, for Newton a USD, for others VTU and OBJ."""
 
 from pathlib import Path
 
@@ -15,10 +15,14 @@ IMPEDANCE = 0.9999
 """MuJoCo's largest (mjMAXIMP): with less, a contact is soft however stiff its reference is."""
 
 
-def write_body(folder: Path, mesh: SlabMesh, found: TargetParameters, density: float, timestep_s: float) -> Path:
-    """Write the body with these parameters as an MJCF; its path. An existing file is replaced."""
-    path = folder / "slab.xml"
-    path.write_text(_mjcf(mesh, found, density, timestep_s), encoding="utf-8")
+def write_body(
+    target: str, folder: Path, mesh: SlabMesh, found: TargetParameters, density: float, timestep_s: float
+) -> Path:
+    """Write the body with these parameters as the target's own file; its path. An existing file is replaced."""
+    usd = target == "newton"
+    path = folder / ("slab.usda" if usd else "slab.xml")
+    text = _usd(mesh, found, density) if usd else _mjcf(mesh, found, density, timestep_s)
+    path.write_text(text, encoding="utf-8")
     return path
 
 
@@ -53,6 +57,40 @@ def _mjcf(mesh: SlabMesh, found: TargetParameters, density: float, timestep_s: f
     </flexcomp>
   </worldbody>
 </mujoco>
+"""
+
+
+def _usd(mesh: SlabMesh, found: TargetParameters, density: float) -> str:
+    """A TetMesh with the schemas of deformable bodies that OpenUSD's physics group proposes; they have no word for what
+    is glued to the world."""
+
+    def rows(values: FloatArray | IntArray) -> str:
+        return ", ".join("(" + ", ".join(f"{one:.8g}" for one in row) + ")" for row in values)
+
+    return f"""#usda 1.0
+(
+    defaultPrim = "Slab"
+    metersPerUnit = 1
+    kilogramsPerUnit = 1
+    upAxis = "Z"
+)
+def Xform "Slab" (prepend apiSchemas = ["PhysicsDeformableBodyAPI"])
+{{
+    def Material "Foam" (prepend apiSchemas = ["PhysicsMaterialAPI", "PhysicsVolumeDeformableMaterialAPI"])
+    {{
+        float physics:youngsModulus = {found.young:.6g}
+        float physics:poissonsRatio = {found.poisson:.6g}
+        float physics:density = {density:.6g}
+    }}
+    def TetMesh "Cells" (
+        prepend apiSchemas = ["PhysicsVolumeDeformableSimAPI", "PhysicsCollisionAPI", "MaterialBindingAPI"]
+    )
+    {{
+        point3f[] points = [{rows(mesh.vertices)}]
+        int4[] tetVertexIndices = [{rows(mesh.elements)}]
+        rel material:binding:physics = </Slab/Foam>
+    }}
+}}
 """
 
 

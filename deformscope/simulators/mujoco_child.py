@@ -6,7 +6,7 @@
     {"do": "press", "asset": "slab.xml", "parameters": {"young", "poisson", "contact"}, "timestep_s", "pokes":
       [{"at_m": [x, y], "tip": "sphere" | "disc" | "flat", "size_m": [...], "slips": true, "depth_m": [...]}]}
       ->  a line for each poke: {"force_n": [...], "penetration_m": [...], "rest_m": [[x, y, z]...], "moved_m": [...],
-          "step_s": seconds a step}
+          "step_s": seconds a step, "how": {"steps"}}
 
 or {"error": "one line"}. A tip is a mocap body that sinks into the slab step by step; the force is that of its contacts
 along z, when it no longer changes; `moved_m` are the vertices under the deepest poke less those at rest, which lie as
@@ -103,6 +103,7 @@ def press(asked: dict[str, Any]) -> Iterator[dict[str, Any]]:
             "rest_m": rest.tolist(),
             "moved_m": moved.tolist(),
             "step_s": (time.perf_counter() - began) / steps,
+            "how": {"steps": steps},
         }
 
 

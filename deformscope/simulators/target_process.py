@@ -10,14 +10,30 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
 from deformscope.errors import InputError
 from deformscope.processes import BLAS_THREADS, END_S, RENEW_S
 
-TRIED = {"mujoco": "4.0.0"}
-"""The version of each target with which it was tried."""
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """tried: its version with which it was tried; install: what pip installs for it; timestep_s: its default time step
+    [s]; contact: where the fit of its stiffness of contact begins, per modulus; unit: of that stiffness"""
+
+    tried: str
+    install: str
+    timestep_s: float
+    contact: float
+    unit: str
+
+
+TARGETS = {
+    "mujoco": Target("4.0.0", "mujoco==4.0.0", 0.005, 2.0, "/s^2"),
+    "newton": Target("1.8.0", "newton==1.8.0 usd-core==26.11 newton-usd-schemas==0.6.0", 0.002, 0.1, "N/m a vertex"),
+}
 
 
 class TargetFailed(Exception):
@@ -55,7 +71,7 @@ class TargetProcess:
             self.version = str(next(self.ask({"do": "version"}))["version"])
         except TargetFailed as error:
             self.close()
-            hint = f"pip install {target}=={TRIED[target]} there, or --python"
+            hint = f"pip install {TARGETS[target].install} there, or --python"
             raise InputError(f"{target} in {self._python}", str(error), hint) from None
 
     def ask(self, request: dict[str, object], keep_on: Callable[[], bool] = lambda: True) -> Iterator[dict[str, Any]]:

@@ -4,6 +4,7 @@ FAKE_TARGET says how it misbehaves: missing, crash, garbage, error, hang, slow."
 
 import json
 import os
+import re
 import sys
 import time
 from pathlib import Path
@@ -43,6 +44,7 @@ def main() -> None:
                         "rest_m": rest,
                         "moved_m": moved,
                         "step_s": 0.001,
+                        "how": {"steps": 7},
                     }
                 ),
                 flush=True,
@@ -50,8 +52,12 @@ def main() -> None:
 
 
 def vertices_of(asset: str) -> list[list[float]]:
-    text = Path(asset).read_text(encoding="utf-8").split('point="')[1].split('"')[0].split()
-    return [[float(one) for one in text[at : at + 3]] for at in range(0, len(text), 3)]
+    text = Path(asset).read_text(encoding="utf-8")
+    if asset.endswith(".usda"):
+        numbers = re.findall(r"[-\d.e]+", text.split("points = [")[1].split("]")[0])
+    else:
+        numbers = text.split('point="')[1].split('"')[0].split()
+    return [[float(one) for one in numbers[at : at + 3]] for at in range(0, len(numbers), 3)]
 
 
 main()

@@ -46,9 +46,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-def command(folder: Path, *more: str, out: str = "body") -> list[str]:
+def command(folder: Path, *more: str, out: str = "body", target: str = "mujoco") -> list[str]:
     pokes = [str(folder / f"poke{number}.npz") for number in range(3)]
-    flags = ["--in", "mujoco", "--python", str(folder / "python"), "--vertices", "300", *QUIET]
+    flags = ["--in", target, "--python", str(folder / "python"), "--vertices", "300", *QUIET]
     return ["simulate", str(folder / "model.npz"), *flags, "--out", str(folder / out), "--against", *pokes, *more]
 
 
@@ -118,23 +118,41 @@ def test_a_recording_has_its_own_pokes(folder: Path, capsys: Capture) -> None:
     assert told["measured"]["young_pa"] == pytest.approx(np.mean([one.modulus_pa for one in touches]), rel=0.1)
 
 
+@pytest.mark.parametrize("target", ["mujoco", "newton"])
 @pytest.mark.parametrize(
     ("how", "said"),
     [
-        ("missing", "expected mujoco in"),
+        ("missing", "expected {} in"),
         ("crash", "ended with status 7: it ran out of memory"),
         ("garbage", "no JSON: not JSON"),
-        ("error", "mujoco 0.0.1: ValueError: unknown attribute 'dof'"),
+        ("error", "{} 0.0.1: ValueError: unknown attribute 'dof'"),
     ],
 )
 def test_errors_of_the_target_are_one_line(
-    folder: Path, how: str, said: str, monkeypatch: Patch, capsys: Capture
+    folder: Path, how: str, said: str, target: str, monkeypatch: Patch, capsys: Capture
 ) -> None:
     monkeypatch.setenv("FAKE_TARGET", how)
-    assert main(command(folder)) == 2
+    assert main(command(folder, target=target)) == 2
     (*_, last) = capsys.readouterr().err.splitlines()
-    assert said in last
+    assert said.format(target) in last
     assert "try:" in last
+
+
+def test_for_newton_the_body_is_a_usd_and_its_contact_a_stiffness_of_vertices(folder: Path, capsys: Capture) -> None:
+    """The stand-in answers the same, so that the same modulus is needed; its static state took 7 steps at most."""
+    assert main(command(folder, "--json", "-", target="newton", out="usd")) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["timestep_s"] == 0.002
+    assert told["static_state"] == {"steps": 7}
+    assert told["needed"]["contact_unit"] == "N/m a vertex"
+    text = (folder / "usd" / "slab.usda").read_text()
+    modulus = float(text.split("physics:youngsModulus = ")[1].split()[0])
+    assert modulus == pytest.approx(told["needed"]["young_pa"], rel=1e-5)
+    points = text.split("points = [")[1].split("]")[0].count("(")
+    assert points == told["vertices"]
+    assert main(command(folder, "--json", "-")) == 0
+    other = json.loads(capsys.readouterr().out)
+    assert told["needed"]["young_pa"] == pytest.approx(other["needed"]["young_pa"], rel=0.02)
 
 
 def test_a_target_that_hangs_is_ended_by_the_time_limit(folder: Path, monkeypatch: Patch, capsys: Capture) -> None:
@@ -153,8 +171,9 @@ def test_the_time_limit_leaves_the_best_fit_so_far(folder: Path, monkeypatch: Pa
     assert all(one["target_force_n"] for one in told["pokes"])
 
 
-def test_bad_input_is_one_line(folder: Path, capsys: Capture) -> None:
-    model, out = str(folder / "model.npz"), ["--in", "mujoco", "--out", str(folder / "bad"), *QUIET]
+@pytest.mark.parametrize("target", ["mujoco", "newton"])
+def test_bad_input_is_one_line(folder: Path, target: str, capsys: Capture) -> None:
+    model, out = str(folder / "model.npz"), ["--in", target, "--out", str(folder / "bad"), *QUIET]
     pair = str(folder / "poke0.npz")
     for args, said in (
         ([*out], "--against PAIR.npz..., or --poke"),

@@ -13,7 +13,13 @@ def test_a_line_of_each_slab_and_setting() -> None:
         (young, vertices) for young, _ in CASES[:2] for vertices in (500, 1000)
     ]
     poke = {"force_error": 0.03, "force_error_before": 0.5, "dent_error": 0.2, "held_out": False}
-    found = {"version": "4.0.0", "vertices": 484, "needed": {"young_pa": 3e4, "poisson": 0.3}, "seconds": 60.0}
+    found = {
+        "version": "4.0.0",
+        "vertices": 484,
+        "needed": {"young_pa": 3e4, "poisson": 0.3},
+        "seconds": 60.0,
+        "timestep_s": 0.005,
+    }
     found |= {"determined": {"young": True, "poisson": False, "contact": False}, "seconds_per_step": 0.03}
     found |= {"pokes": [poke, poke | {"held_out": True, "force_error": -0.01}, poke, poke]}
     (table,) = report(options, 1.0, [SlabOutcome(slabs.cases[0], found, 0.12)]).tables

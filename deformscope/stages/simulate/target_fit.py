@@ -35,7 +35,7 @@ class Stopped(Exception):
 
 @dataclass(frozen=True, slots=True)
 class TargetParameters:
-    """young: Young's modulus [Pa]; poisson: Poisson's ratio; contact: stiffness of contact per mass [1/s^2]."""
+    """young: Young's modulus [Pa]; poisson: Poisson's ratio; contact: stiffness of contact, in the target's unit."""
 
     young: float
     poisson: float
@@ -53,8 +53,8 @@ class TargetParameters:
 
 
 NAMES = ("young", "poisson", "contact")
-LOWEST = TargetParameters(10.0, 0.0, 1e3)
-HIGHEST = TargetParameters(1e9, 0.49, 1e8)
+LOWEST, HIGHEST = (10.0, 0.0, 0.01), (1e9, 0.49, 1e3)
+"""Of the parameters; stiffness of contact relative to where the fit begins."""
 
 
 @dataclass(frozen=True)
@@ -71,13 +71,14 @@ class MeasuredPoke:
 @dataclass(frozen=True)
 class TargetPoke:
     """The simulator's answer. force: (n,) [N] and penetration: (n,) [m] at the depths; rest, moved: (k, 3) vertices and
-    their displacement at the greatest depth [m]; step_s: seconds that a step took"""
+    their displacement at the greatest depth [m]; step_s: seconds that a step took; how: numbers of the way to it"""
 
     force: FloatArray
     penetration: FloatArray
     rest: FloatArray
     moved: FloatArray
     step_s: float = 0.0
+    how: dict[str, float] = field(default_factory=dict)
 
 
 Press = Callable[[TargetParameters, Sequence[MeasuredPoke]], list[TargetPoke]]
@@ -127,7 +128,7 @@ def fit_target(
     """The parameters with the least squares, from `start`. free: which of them are fitted; note: called with the runs
     done and the most. `press` may raise `Stopped`: then the best so far is the result."""
     open_ = np.flatnonzero(free)
-    low, high = LOWEST.vector, HIGHEST.vector
+    low, high = (TargetParameters(one[0], one[1], one[2] * start.contact).vector for one in (LOWEST, HIGHEST))
     at, deviation = start.vector, np.full(3, np.inf)
     total, done = MOST_ROUNDS * (len(open_) + 1) + 1, 0
     near = [_near(poke.seen, mesh.size[2]) for poke in pokes]
