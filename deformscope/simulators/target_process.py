@@ -21,7 +21,7 @@ from deformscope.processes import BLAS_THREADS, END_S, RENEW_S
 @dataclass(frozen=True, slots=True)
 class Target:
     """tried: its version with which it was tried; install: what pip installs for it; timestep_s: its default time step
-    [s]; contact: where the fit of its stiffness of contact begins, per modulus; unit: of that stiffness"""
+    [s]; contact: where the fit of its stiffness of contact begins, per modulus; unit: the unit of that stiffness"""
 
     tried: str
     install: str

@@ -54,7 +54,7 @@ class TargetParameters:
 
 NAMES = ("young", "poisson", "contact")
 LOWEST, HIGHEST = (10.0, 0.0, 0.01), (1e9, 0.49, 1e3)
-"""Of the parameters; stiffness of contact relative to where the fit begins."""
+"""Bounds of the parameters; stiffness of contact relative to where the fit begins."""
 
 
 @dataclass(frozen=True)
