@@ -106,6 +106,8 @@ class RayCamera:
         """Draw a capsule of the robot into a picture (h, w), changed in place, where it is nearer. depth: depth along
         the view [m]; seen: index of each pixel's surface; facing: cosine between ray and surface normal"""
         part = self.window(capsule)
+        if not depth[part].size:
+            return
         entered = _enter(capsule, self.T_world_camera[:3, 3], self.ray[part], self._length[part])
         nearer = np.isfinite(entered) & ~(entered >= depth[part])  # also where there is nothing: nan
         at, ray = entered[nearer], self.ray[part][nearer]
@@ -185,8 +187,9 @@ def _nearest_root(a: FloatArray, half_b: FloatArray, c: float) -> FloatArray:
     outside: c > 0."""
     inside = half_b**2 - a * c
     meets: BoolArray = (inside >= 0.0) & (half_b < 0.0) & (a > 0.0)
-    # c / q, the form without cancellation
-    return np.where(meets, c / np.where(meets, -half_b + np.sqrt(np.maximum(inside, 0.0)), 1.0), np.inf)
+    root = np.full(meets.shape, np.inf)
+    root[meets] = c / (-half_b[meets] + np.sqrt(inside[meets]))  # c / q, the form without cancellation
+    return root
 
 
 def looking_at(middle: FloatArray, distance: float, elevation_deg: float, azimuth_deg: float) -> FloatArray:

@@ -100,6 +100,9 @@ class RobotBody:
 
 
 CAMERA_HZ = 10.0
+HIGH = 2.5
+"""Height of the tip's centre over the highest foam, in its radii, above which it touches nothing, on slopes up to 40
+degrees too."""
 CREEP_S = 1.0
 """Time constant of foam that creeps."""
 CAMERA_AZIMUTH_DEG = -90.0
@@ -156,8 +159,10 @@ class SceneLab:
                 raise InputError("foams that yield, or that creep", scene.name, "two-60y20-150y20, two-60c30-150")
         self._tip = RigidTip(radius=tip_radius_m * self.drawn.tip)
         self._contact: Contact | None = None
+        self._dent: tuple[Contact | None, FloatArray | None] = None, None  # as a camera last saw it
         view = DepthViewConfig(width=320, height=240, azimuth_deg=CAMERA_AZIMUTH_DEG)
         self.view = DepthView(scene, view)
+        self._high_m = float(scene.foam_height_m(self.view.places_m).max()) + HIGH * tip_radius_m * self.drawn.tip
         tool = Tool(radius_m=tip_radius_m)
         self.placement = Placement(T_BASE_AHEAD if arm else T_BASE_SURFACE, tool)
         parked = np.array([scene.size_m[0] / 2, scene.size_m[1] / 2, parked_m])
@@ -231,6 +236,11 @@ class SceneLab:
         world."""
         if isinstance(self._world, CreepingWorld):
             self._world.at(1e-9 * self.clock())
+        elif center_m[2] > self._high_m:
+            self._contact = None
+            return np.zeros(3)
+        elif self._contact is not None and np.array_equal(center_m, self._contact.center_m):
+            return np.asarray(self._contact.force_n, np.float64)
         self._contact = self._world.press(self._tip, center_m)
         return np.asarray(self._contact.force_n, np.float64)
 
@@ -247,10 +257,12 @@ class SceneLab:
 
     def _see(self, time_s: float) -> View:
         """The camera's present view: the pressed slab, the arm in its pose."""
-        moved = None
-        if self._contact is not None and len(self._contact.node):
-            moved = self._world.displaced_m(self._contact, self.view.places_m)
-        exact = self.view.render(moved, *self._seen(self.lab.body.T_base_links, self.lab.contact.center_m))
+        if self._contact is not self._dent[0]:
+            moved = None
+            if self._contact is not None and len(self._contact.node):
+                moved = self._world.displaced_m(self._contact, self.view.places_m)
+            self._dent = self._contact, moved
+        exact = self.view.render(self._dent[1], *self._seen(self.lab.body.T_base_links, self.lab.contact.center_m))
         return View(exact.depth_m, exact.color)  # the camera adds its own noise
 
     def _seen(

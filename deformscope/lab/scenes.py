@@ -258,11 +258,8 @@ class Scene:
         xy_m = np.asarray(xy_m, dtype=np.float64)
         if self._bumps is None:
             return np.broadcast_to([0.0, 0.0, 1.0], (*xy_m.shape[:-1], 3))
-        slope = np.zeros(xy_m.shape)
-        for axis in (0, 1):
-            step = np.zeros(2)
-            step[axis] = 1e-4
-            slope[..., axis] = (self.foam_height_m(xy_m + step) - self.foam_height_m(xy_m - step)) / 2e-4
+        around = self.foam_height_m(xy_m[..., None, None, :] + 1e-4 * np.array([1.0, -1.0])[:, None, None] * np.eye(2))
+        slope = (around[..., 0, :] - around[..., 1, :]) / 2e-4
         upward = np.concatenate([-slope, np.ones((*slope.shape[:-1], 1))], axis=-1)
         return np.asarray(upward / np.linalg.norm(upward, axis=-1, keepdims=True))
 

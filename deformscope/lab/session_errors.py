@@ -117,10 +117,10 @@ class SessionErrors:
 
     def sensed(self, force_n: FloatArray, time_s: float) -> FloatArray:
         """(3,) output of the sensor for a force (3,) in the tip's frame [N]: its gain, without friction."""
-        size_n = math.sqrt(float(force_n @ force_n))
+        if not (size_n := math.sqrt(float(force_n @ force_n))):
+            return self.gain_at(time_s) * force_n
         aside = self.friction * size_n * np.array([np.cos(self.friction_rad), np.sin(self.friction_rad), 0.0])
-        loaded_n = force_n + aside if size_n else force_n
-        return np.asarray(self.gain_at(time_s) * loaded_n)
+        return np.asarray(self.gain_at(time_s) * (force_n + aside))
 
     def slab(self, scene: Scene) -> Scene:
         """The slab with its true thickness, from which the true map is computed."""

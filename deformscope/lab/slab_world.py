@@ -28,7 +28,7 @@ from scipy.sparse import csc_array, eye_array, kron
 from scipy.sparse.linalg import splu
 from skfem import Basis, ElementHex1, MeshHex
 
-from deformscope.arrays import FloatArray, IntArray
+from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.lab.elasticity import dissected, stiffness_of
 from deformscope.lab.scenes import Scene
@@ -143,6 +143,7 @@ class Patch:
         left = lower @ upper
         self.compliance: FloatArray = cho_solve(cho_factor(0.5 * (left + left.T)), np.eye(len(last)))
         self.candidate_m: FloatArray = at_rest[candidate]
+        self._pushed: BoolArray | None = None  # nodes in contact at the last press, which are nearly those of the next
         self._frame, self._size = frame, 3 * basis.N
         corners = np.flatnonzero(top)
         self._top: IntArray = corners[np.lexsort(flat_at[corners, 1::-1].T)]
@@ -152,7 +153,9 @@ class Patch:
         this multiple of compliance."""
         if not (overlap > 0.0).any():
             return np.zeros(len(overlap))
-        return _without_pull(softer * self.compliance, overlap)
+        force = _without_pull(softer * self.compliance, overlap, self._pushed)
+        self._pushed = force > 0.0
+        return force
 
     def displaced_m(self, node_force_n: FloatArray, node: IntArray, xy_m: FloatArray) -> FloatArray:
         """(n, 3) displacement of the surface at (n, 2) if `node` of the candidates are pushed down along the normal."""
@@ -263,14 +266,17 @@ def _overlap(tip: RigidTip, center: FloatArray, normal: FloatArray, points: Floa
     return np.where(squared < radius**2, aside[:, 2] + np.sqrt(np.maximum(radius**2 - squared, 0.0)), -np.inf)
 
 
-def _without_pull(compliance: FloatArray, overlap: FloatArray) -> FloatArray:
-    """(n,) forces f >= 0 that leave gaps C f - overlap >= 0, one of the two zero at each node.
+def _without_pull(compliance: FloatArray, overlap: FloatArray, pushed: BoolArray | None = None) -> FloatArray:
+    """(n,) forces f >= 0 that leave gaps C f - overlap >= 0, one of the two zero at each node. pushed: (n,) first guess
+    of where f > 0
 
     A primal-dual active set (Hintermueller, Ito and Kunisch 2002); should it run in circles, non-negative least
     squares."""
     possible = np.isfinite(overlap)
     wanted = np.where(possible, overlap, 0.0)
     under = wanted > 0.0
+    if pushed is not None and (pushed & under).any():
+        under &= pushed
     for _ in range(MOST_ROUNDS):
         force = np.zeros(len(overlap))
         index = np.flatnonzero(under)

@@ -24,13 +24,16 @@ FROM_ELBOW = 2
 
 
 class ArmClearance:
-    """Distances of an arm's links and stick from the table, from each other and from a box, for given link poses."""
+    """Distances of an arm's links and stick from the table, from each other and from a box, for given link poses.
+
+    reach_m: length of base, links and stick in a row: a turn of one joint by 1 rad moves no part further [m]"""
 
     def __init__(self, placement: Placement, T_base_links: FloatArray) -> None:
         """T_base_links: (n + 1, 4, 4) poses of the joints and, last, the arm's end, in any pose, for its lengths [m]"""
         self._placement = placement
         lengths = np.linalg.norm(np.diff(self._points_m(T_base_links), axis=0), axis=1)
         before = np.concatenate([[0.0], np.cumsum(lengths)])
+        self.reach_m = float(before[-1])
         pairs = [(a, b) for a, b in combinations(range(len(lengths)), 2) if before[b] - before[a + 1] >= APART_M]
         self._pairs = np.array(pairs, dtype=int).reshape(-1, 2)
         radius = np.full(len(lengths), LINK_RADIUS_M)

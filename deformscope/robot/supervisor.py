@@ -14,7 +14,7 @@ from deformscope.rig.rig_file import Workspace
 from deformscope.robot.clearance import ArmBox, ArmClearance, CollisionWatch, CurrentWatch
 from deformscope.robot.latch import Action, Alarm, Decision, LatchingSupervisor
 from deformscope.robot.readings import ArmSample, CameraSample, ForceSample, RobotObservation
-from deformscope_drivers.arm.kinematics import Chain, FloatArray, rotation_vector
+from deformscope_drivers.arm.kinematics import Chain, FloatArray
 
 
 class Fault(StrEnum):
@@ -212,6 +212,7 @@ class Supervisor(LatchingSupervisor[Fault]):
         self._unmoved_m, self._unmoved_ns = 0.0, 0
         self._track: deque[ArmSample] = deque()
         self._clear_m = -math.inf, -math.inf, -math.inf  # the first is compared with nothing
+        self._clear_deg: FloatArray = np.zeros(1)
         if self._collisions is not None:
             self._collisions.start()
         self._currents.start()
@@ -256,8 +257,8 @@ class Supervisor(LatchingSupervisor[Fault]):
             self._force_ns = sample.time_ns
             if sample.pattern is None or sample.pattern != self._pattern:
                 self._pattern, self._pattern_ns = sample.pattern, sample.time_ns
-            rests = (sample.sensor_n == 0.0) & limits.axes_rest
-            self._axes_ns[(sample.sensor_n != self._axes_n) | rests] = sample.time_ns
+            live = sample.sensor_n != self._axes_n
+            self._axes_ns[live | (sample.sensor_n == 0.0) if limits.axes_rest else live] = sample.time_ns
             self._axes_n = sample.sensor_n
             magnitude_n = math.hypot(*sample.force_n)
             if not math.isfinite(magnitude_n):
@@ -401,11 +402,15 @@ class Supervisor(LatchingSupervisor[Fault]):
             return []
         joints_deg = np.array(sample.joints_deg)
         ahead_deg = joints_deg + self.limits.look_ahead_s * (joints_deg - np.array(before.joints_deg)) / span_s
-        links = self._chain.forward(ahead_deg[None])[0]  # of several, so that the present pose stays the latest one
         clearance, limits = self._clearance, self.limits
+        limits_m = limits.table_m, limits.itself_m, 0.0
+        nearer_m = 2.0 * clearance.reach_m * math.radians(float(np.abs(ahead_deg - self._clear_deg).sum()))
+        if all(was_m - nearer_m > limit_m for was_m, limit_m in zip(self._clear_m, limits_m, strict=True)):
+            return []  # no part can have come so near since
+        links = self._chain.forward(ahead_deg[None])[0]  # of several, so that the present pose stays the latest one
         inside_m = clearance.in_box_m(links, limits.arm_box)
         then_m, self._clear_m = self._clear_m, (clearance.over_table_m(links), clearance.to_itself_m(links), inside_m)
-        limits_m = limits.table_m, limits.itself_m, 0.0
+        self._clear_deg = ahead_deg
         what = (
             (Fault.TABLE, "elbow or wrist above the table"),
             (Fault.ITSELF, "between two parts of the arm"),
@@ -445,7 +450,8 @@ class Supervisor(LatchingSupervisor[Fault]):
 
 def _angle_deg(one: FloatArray, other: FloatArray) -> float:
     """Between the rotations of two transforms or rotation matrices [deg]."""
-    return math.degrees(float(np.linalg.norm(rotation_vector(other[:3, :3] @ one[:3, :3].T))))
+    cosine = 0.5 * (float(np.vdot(one[:3, :3], other[:3, :3])) - 1.0)  # by the trace of one^T other
+    return math.degrees(math.acos(min(max(cosine, -1.0), 1.0)))
 
 
 def _count_since(times_ns: deque[int], since_ns: int) -> int:

@@ -10,6 +10,7 @@ from scipy.optimize import brentq, nnls
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.lab import slab_world
+from deformscope.lab.scene_lab import SceneLab
 from deformscope.lab.scenes import POISSON, Scene, built_in, initial_modulus_pa
 from deformscope.lab.slab import RigidTip, Slab, press
 from deformscope.lab.slab_world import SlabWorld
@@ -39,6 +40,38 @@ def even() -> SlabWorld:
 def halves() -> SlabWorld:
     """37 kPa left of the middle, 93 kPa right of it."""
     return SlabWorld(foam(lambda xy: np.where(xy[..., 0] < 0.3, FOAM_PA, 2.5 * FOAM_PA)))
+
+
+def test_a_press_does_not_depend_on_the_one_before() -> None:
+    scene, rng = built_in("two-60-150", seed=3), np.random.default_rng(1)
+    used = SlabWorld(scene)
+    used.prepare(BALL, MIDDLE)
+    fresh = SlabWorld(scene)
+    fresh._patches = list(used._patches)
+    for _ in range(40):
+        at = over(MIDDLE + rng.uniform(-0.001, 0.001, 2), rng.uniform(-0.001, 0.006))
+        fresh._patches[-1][1]._pushed = None
+        expected = fresh.press(BALL, at)
+        fresh._patches[-1][1]._pushed = (
+            rng.random(len(expected.place_m) and len(used._patches[-1][1].candidate_m)) < 0.5
+        )
+        found = used.press(BALL, at)
+        np.testing.assert_array_equal(found.node, expected.node)
+        np.testing.assert_array_equal(found.force_n, expected.force_n)
+
+
+@pytest.mark.parametrize("name", ["bumpy", "egg-crate"])
+def test_a_laboratory_presses_as_its_world_does(name: str) -> None:
+    """High above the foam, near it, in it, and where it was pressed before."""
+    scene, rng = built_in(name, seed=1), np.random.default_rng(2)
+    laboratory, world = SceneLab(scene, tip_radius_m=0.01, parked_m=0.2), SlabWorld(scene)
+    middle = np.append(MIDDLE, scene.foam_height_m(MIDDLE))
+    for height_m in (0.05, 0.03, 0.02, 0.012, 0.009, 0.007, 0.007, 0.009, 0.05, 0.007):
+        at = middle + np.array([0.0, 0.0, height_m])
+        np.testing.assert_array_equal(laboratory.press(at), world.press(BALL, at).force_n)
+    high_m = float(scene.foam_height_m(scene.cells_m()).max()) + 0.026
+    for xy_m in rng.uniform(0.0, scene.size_m, (50, 2)):
+        assert world.press(BALL, np.append(xy_m, high_m)).mesh_m is None
 
 
 def sneddon_n(depth_m: float, radius_m: float, modulus_pa: float) -> float:

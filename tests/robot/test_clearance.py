@@ -1,5 +1,7 @@
 """Distances of an arm from the table and from itself, against dense sampling; it is stopped before it hits."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -87,6 +89,38 @@ def test_an_arm_is_stopped_before_it_hits(
     assert noticed is fault
     links = chain.forward(np.array(sample.joints_deg) + 0.02 * rates_deg_s)
     assert min(clearance.over_table_m(links), clearance.to_itself_m(links)) > 0.0
+
+
+@pytest.mark.parametrize("chain", CHAINS.values(), ids=list(CHAINS))
+def test_what_cannot_have_come_near_is_left_out_with_the_same_verdicts(chain: Chain) -> None:
+    """Alarms of a wandering arm, with distances in each period and with those that may matter alone."""
+    placement, rng = Placement(T_BASE_SURFACE), np.random.default_rng(4)
+    clearances = [ArmClearance(placement, chain.forward(chain.home_deg)) for _ in range(2)]
+    computed = [0, 0]
+    for which, one in enumerate(clearances):
+
+        def counted(links: FloatArray, which: int = which, to_itself_m=one.to_itself_m) -> float:
+            computed[which] += 1
+            return to_itself_m(links)
+
+        one.to_itself_m = counted  # type: ignore[method-assign]
+    clearances[1].reach_m = np.inf
+    limits = Limits(speed_m_s=99.0, turn_deg_s=9000.0, joint_margin_deg=1e-3, itself_m=0.05, table_m=0.1)
+    box = (-0.4, -0.4, -0.1), (0.4, 0.4, 1.5)
+    limits = dataclasses.replace(limits, arm_box=box)
+    watching = [Supervisor(limits, 0, placement.T_ee_center, chain, clearance=one) for one in clearances]
+    lower, upper = (np.clip(end, -170.0, 170.0) for end in (chain.lower_deg + 10.0, chain.upper_deg - 10.0))
+    joints_deg, found = chain.clip(chain.home_deg), [list[str](), list[str]()]
+    for number in range(1, 2000):
+        if number % 200 == 1:
+            rates_deg_s = rng.uniform(-20.0, 20.0, chain.joint_count)
+        joints_deg = np.clip(joints_deg + 0.01 * rates_deg_s, lower, upper)
+        sample = ArmSample(number * PERIOD_NS, chain.end_effector(joints_deg), tuple(joints_deg))
+        for alarms, supervisor in zip(found, watching, strict=True):
+            alarms += [f"{number} {fault} {why}" for _, fault, why in supervisor._motion(sample)]
+    assert found[0] == found[1]
+    assert found[1]
+    assert computed[0] < computed[1]
 
 
 def test_an_arm_may_move_away_from_the_table() -> None:

@@ -19,7 +19,7 @@ from deformscope.stages.gaussian_process import gaussian_between
 from deformscope.stages.map.detection_limit import INCLUSION_RADII_M, UnseenInclusions, detection_limit
 from deformscope.stages.map.exploration import DetectionLimit
 from deformscope.stages.map.inclusion_posterior import InclusionPosterior
-from deformscope.stages.regions.hypotheses import RegionHypotheses, RelatedTouches
+from deformscope.stages.regions.hypotheses import Expected, RegionHypotheses, RelatedTouches
 from deformscope.stages.regions.levels import labels_of
 from deformscope.stages.regions.posterior import RegionPosterior
 from deformscope.stages.regions.touch_error import TouchErrorModel
@@ -209,10 +209,11 @@ def plan_touch(
     return planned.choice(limit, gain, unit, gain / planned.cost_s, stop, why, at_m)
 
 
-def information(hypotheses: RegionHypotheses, touches: RelatedTouches, blur_m: float) -> FloatArray:
-    """(p,) mutual information of touches and the surface [nat]. It is the entropy of the reading over all hypotheses
-    less that under each (Lindley 1956), computed in bins, which make it slightly smaller."""
-    chance, weight = _outcomes(hypotheses, touches, blur_m, OUTCOMES)
+def information(expected: Expected) -> FloatArray:
+    """(p,) mutual information of touches, of which this is expected (`RelatedTouches.expected`), and the surface [nat].
+    It is the entropy of the reading over all hypotheses less that under each (Lindley 1956), computed in bins, which
+    make it slightly smaller."""
+    chance, weight = _outcomes(expected, OUTCOMES)
     together = np.tensordot(chance, weight, axes=(1, 0))
     entropy = -xlogy(together, together).sum(axis=0)
     return cast(FloatArray, np.maximum(entropy + weight @ xlogy(chance, chance).sum(axis=0), 0.0))
@@ -224,7 +225,7 @@ def label_gain(hypotheses: RegionHypotheses, touches: RelatedTouches, cells_m: F
     A label is right if the number of regions is, too; each region of a map counts the same, however small. The share
     is that of the best labels after the touch, over all its outcomes."""
     outcomes = OUTCOMES // 2
-    chance, weight = _outcomes(hypotheses, touches, blur_m, outcomes)
+    chance, weight = _outcomes(touches.expected(hypotheses, blur_m), outcomes)
     joint = np.ascontiguousarray(np.swapaxes(chance * weight[:, None], 1, 2)).reshape(-1, len(weight))
     best, best_now = np.zeros((len(joint), len(cells_m))), np.zeros(len(cells_m))
     start = 0
@@ -244,11 +245,9 @@ def label_gain(hypotheses: RegionHypotheses, touches: RelatedTouches, cells_m: F
     return cast(FloatArray, np.maximum(after - best_now.mean(), 0.0))
 
 
-def _outcomes(
-    hypotheses: RegionHypotheses, touches: RelatedTouches, blur_m: float, count: int
-) -> tuple[FloatArray, FloatArray]:
+def _outcomes(expected: Expected, count: int) -> tuple[FloatArray, FloatArray]:
     """(count, h, p) probability of each outcome of a touch under each hypothesis, and the hypotheses' weights (h,)."""
-    mean, _, sd, weight = touches.expected(hypotheses, blur_m)
+    mean, _, sd, weight = expected
     # bins of about equal probability of a reading, under any hypothesis
     spread = ndtri((np.arange(8) + 0.5) / 8.0)
     reading = (mean[:, None] + sd[:, None] * spread[:, None]).reshape(-1, mean.shape[1])
@@ -330,9 +329,9 @@ def _region_gain(posterior: RegionPosterior, touches: RelatedTouches, cost: Floa
     are most informative of levels."""
     hypotheses, blur = posterior.hypotheses(), posterior.prior.blur_m
     # (p,) information of touches about the levels, if the map is known [nat]; beyond `rigid_sd` precision adds little
-    _, variance, _, weight = touches.expected(hypotheses, blur)
+    _, variance, _, weight = expected = touches.expected(hypotheses, blur)
     gain = LEVEL_WORTH * cast(FloatArray, 0.5 * weight @ np.log1p(variance / posterior.prior.rigid_sd**2))
-    learned = LEVEL_WORTH * information(hypotheses, touches, blur)
+    learned = LEVEL_WORTH * information(expected)
     best = np.argsort(-(gain + learned) / cost, kind="stable")[:CONTENDERS]
     cells = MapGrid(posterior.grid.size_m, LABEL_CELL_M).centres_m
     gain[best] += label_gain(hypotheses, touches.take(best), cells, blur)

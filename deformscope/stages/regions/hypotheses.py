@@ -9,6 +9,8 @@ from deformscope.stages.regions.levels import Readings, RegionPrior, mixed_stiff
 from deformscope.stages.regions.partitions import Partitions
 from deformscope.stages.regions.smooth import SmoothField
 
+Expected = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+
 
 @dataclass(frozen=True, slots=True)
 class RegionHypotheses:
@@ -55,15 +57,13 @@ class RelatedTouches:
         """The touches at the places of these indices."""
         return replace(self, at_m=self.at_m[index])
 
-    def expected(
-        self, hypotheses: RegionHypotheses, blur_m: float
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    def expected(self, hypotheses: RegionHypotheses, blur_m: float) -> Expected:
         """Under each hypothesis mean, variance due to the levels and total deviation (h, p) of the readings, and its
         weight (h,): the predictive distribution given the map and its scatter (universal kriging, Cressie 1993,
         3.4.2)."""
         made, places = self.readings, np.concatenate([self.at_m, self.readings.xy_m])
         new, measured, shared = len(self.at_m), made.value + made.centre, self.prior.error.shared(self.at_m, made.xy_m)
-        parts: list[tuple[FloatArray, FloatArray, FloatArray, FloatArray]] = []
+        parts: list[Expected] = []
         for (maps, level, cov, weight), scatter in zip(hypotheses.maps, hypotheses.scatter, strict=True):
             shares = np.ones((1, len(places), 1)) if maps is None else maps.shares(places, blur_m)
             off2 = (self.prior.mixed_share * made.spread * 2.0 * (1.0 - (shares**2).sum(axis=-1))) ** 2

@@ -4,6 +4,7 @@ The double has no thread: time passes on the given clock, and each call first si
 
 import contextlib
 import ctypes
+import struct
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -368,5 +369,4 @@ class JacoDouble:
 
 def _write_joints(response: structures.AngularPosition, values: FloatArray) -> None:
     """Write the values (n,) of the joints that the arm has; as with the arm, those that it lacks are not written."""
-    for index, value in enumerate(values, 1):
-        setattr(response.Actuators, f"Actuator{index}", value)
+    struct.pack_into(f"{len(values)}f", response.Actuators, 0, *values.tolist())

@@ -194,7 +194,9 @@ class SimulatedArm:
 
     def external_torque_nm(self) -> FloatArray:
         """Torques of the joints' sensors without gravity, (n,) [Nm]."""
-        torque: FloatArray = kinematics.jacobian_of(self.links).T @ self.wrench + self.torque_bias_nm
+        torque: FloatArray = np.array(self.torque_bias_nm)
+        if np.any(self.wrench):
+            torque += kinematics.jacobian_of(self.links).T @ self.wrench
         if self.link_push is not None:
             link, force_n = self.link_push
             levers_m = self.links[link + 1, :3, 3] - self.links[: link + 1, :3, 3]

@@ -5,6 +5,7 @@ library 5.2.0. Positions are metres and radians (ThetaX, ThetaY, ThetaZ turn abo
 degrees, fingers 0 (open) to 6800 (closed)."""
 
 import ctypes
+import struct
 from ctypes import c_char, c_double, c_float, c_int, c_short, c_ubyte, c_uint, c_ulong, c_ushort
 from enum import IntEnum
 from typing import Any
@@ -231,7 +232,7 @@ def cartesian_values(info: CartesianInfo) -> tuple[float, float, float, float, f
 
 def actuator_values(info: AngularInfo, joint_count: int) -> tuple[float, ...]:
     """Values of the joints that the arm has: Actuator7 of a six-joint arm is never written, and not given."""
-    return tuple(getattr(info, f"Actuator{i}") for i in range(1, joint_count + 1))
+    return struct.unpack_from(f"{joint_count}f", info)
 
 
 def finger_values(info: FingersPosition) -> tuple[float, float, float]:

@@ -17,6 +17,8 @@ ZERO_REST_NS = 2_000_000
 """How long the zero point must have been cleared before it can be set again (JHU's driver found this out)."""
 FILTER_MEMORY = 8.0
 """Time constants after which a filter has forgotten; what lies longer ago is not computed."""
+NOISE_SAMPLES = 256
+"""Number of samples whose noise is drawn at once."""
 
 FloatArray = npt.NDArray[np.float64]
 Scene = Callable[[float], npt.ArrayLike]
@@ -116,6 +118,7 @@ class OptoforceDouble:
         self._commands = protocol.CommandDecoder()
         self._line.clear()
         self._random = np.random.default_rng(self.sensors.seed)
+        self._noise: list[list[float]] = []  # of the next samples, last first
         self._started_ns = now_ns
         self._sample = 0  # the next one to be taken
         self._next_sent = int(self.settings.speed)
@@ -206,12 +209,14 @@ class OptoforceDouble:
         cutoff_hz = self.settings.filter.cutoff_hz
         weight = 1.0 if cutoff_hz is None else 1.0 - math.exp(-2.0 * math.pi * cutoff_hz * SAMPLE_NS * 1e-9)
         memory = 1 if cutoff_hz is None else math.ceil(FILTER_MEMORY / weight)
+        offset, noise = self.sensors.offset_counts, self.sensors.noise_counts
         for sample in range(max(self._sample, last - memory + 1), last + 1):
             load = np.asarray(self.sensors.scene(self._time_ns(sample) * 1e-9), float) * self._per_load
-            noise, offset = self._random.standard_normal(len(self._zero)).tolist(), self.sensors.offset_counts
+            if not self._noise:
+                self._noise = self._random.standard_normal((NOISE_SAMPLES, len(self._zero)))[::-1].tolist()
             counts = [
-                min(max(one + offset + chance * self.sensors.noise_counts, -most), most)
-                for one, chance, most in zip(load.ravel().tolist(), noise, self._saturation, strict=True)
+                min(max(one + offset + chance * noise, -most), most)
+                for one, chance, most in zip(load.ravel().tolist(), self._noise.pop(), self._saturation, strict=True)
             ]
             before = counts if self._filtered is None else self._filtered
             self._filtered = [old + weight * (new - old) for old, new in zip(before, counts, strict=True)]

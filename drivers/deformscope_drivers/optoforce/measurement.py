@@ -17,7 +17,7 @@ from deformscope_drivers.optoforce.protocol import DaqState, Kind, Reading, Sens
 PLAUSIBLE_RATIO = 2.0
 """Largest plausible reading, as a multiple of the nominal force: about the end of the sensor's range."""
 
-TORQUE_BITS = 0x70
+OVERLOAD_BITS, TORQUE_BITS = 0x3F0, 0x70
 KNOWN_DAQ = frozenset(DaqState)
 KNOWN_SENSOR = frozenset(SensorState)
 SENSOR_NUMBERS = 4
@@ -164,7 +164,7 @@ class ForceMeasurer:
             found += ("zero",)
         self.doubted += bool(found)
         self.unusable += not reading.status.usable
-        self.overloaded += bool(reading.status.overload)
+        self.overloaded += bool(reading.status & OVERLOAD_BITS)
         return ForceMeasurement(
             Stamp(host_ns, reading.counter),
             reading.kind,

@@ -47,6 +47,21 @@ def test_it_starts_at_its_defaults() -> None:
     assert [reading.counter for reading in readings(heard(double, 6 * SECOND))] == list(range(100))
 
 
+def test_its_noise_is_that_of_one_draw_for_each_sample() -> None:
+    sent = np.array([one.counts[0] for one in readings(heard_at(OptoforceDouble(Sensors(seed=7)), speed=1))])
+    noise = np.random.default_rng(7)
+    drawn = [120.0 + 5.0 * noise.standard_normal(3) for _ in range(len(sent) + 10)]
+    first = next(at for at in range(10) if np.array_equal(sent[0], np.rint(drawn[at])))
+    np.testing.assert_array_equal(sent, np.rint(drawn[first : first + len(sent)]))
+
+
+def heard_at(double: OptoforceDouble, speed: int) -> list:
+    """A second of messages without a filter."""
+    double.power_up(0)
+    configured(double, 0, speed)
+    return heard(double, SECOND)
+
+
 @pytest.mark.parametrize(("speed", "rate"), [(1, 1000), (3, 333), (10, 100), (33, 30), (100, 10), (0, 0)])
 def test_it_sends_at_its_speed(speed: int, rate: int) -> None:
     double = OptoforceDouble()

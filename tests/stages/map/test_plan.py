@@ -98,7 +98,7 @@ def test_information_is_that_of_two_hypotheses_in_closed_form() -> None:
     hypotheses = RegionHypotheses(weighed, (), True, (np.zeros(2),))
     prior = RegionPrior(mixed_share=0.0)
     new = RelatedTouches(places, readings_of((), prior), prior, 0.2)
-    found = information(hypotheses, new, 0.012)
+    found = information(new.expected(hypotheses, 0.012))
     mean = np.log(pair.shares(places, 0.012) @ np.exp(level[0]))[..., None]
     y = np.linspace(-2.0, 3.0, 5001)
     density = norm.pdf(y, mean, 0.2).mean(axis=0)
@@ -209,7 +209,7 @@ def test_a_touch_may_be_repeated_at_its_very_place_and_says_less_than_one_beside
     at_m, again = posterior.repeated(np.array([[0.31, 0.31], off, [0.4, 0.2]]), 0.01)
     np.testing.assert_array_equal(at_m, [off, off, [0.4, 0.2]])
     np.testing.assert_array_equal(again, [True, True, False])
-    once, new = information(posterior.hypotheses(), posterior.related(at_m[1:]), 0.0075)
+    once, new = information(posterior.related(at_m[1:]).expected(posterior.hypotheses(), 0.0075))
     assert 0.0 < once < new
 
 
@@ -246,7 +246,7 @@ def test_a_touch_next_to_others_of_its_material_says_less_than_one_between_them_
     new = np.array([(0.29, 0.29), (0.31, 0.33), (0.2, 0.2)])
     hypotheses, blur = replace(posterior.hypotheses(), smooth=()), posterior.prior.blur_m
     related = posterior.related(new)
-    alone = information(hypotheses, replace(related, readings=readings_of((), posterior.prior)), blur)
-    known = information(hypotheses, related, blur)
+    alone = information(replace(related, readings=readings_of((), posterior.prior)).expected(hypotheses, blur))
+    known = information(related.expected(hypotheses, blur))
     assert (known[:2] < 0.8 * alone[:2]).all()
     assert known[2] == pytest.approx(alone[2], rel=0.25)
