@@ -44,7 +44,7 @@ class SimulateConfig(RecordedOptions):
     """Pokes that are not fitted, but test the fit; default: a third of them."""
     poisson: Annotated[float | None, flags.one_word("NU", float), flags.unset, _ratio] = None
     """Poisson's ratio; default: fitted."""
-    vertices: Annotated[int, flags.least(48)] = 800
+    vertices: Annotated[int, flags.least(48)] = 1500
     """About how many vertices the body has."""
     spacing_m: flags.PositiveFlag = None
     """Size of its cells [m], in place of --vertices."""
@@ -58,7 +58,7 @@ class SimulateConfig(RecordedOptions):
 
     def check(self) -> None:
         either("--against", "--poke", self.against, self.poke)
-        either("--spacing-m", "--vertices", self.spacing_m, self.vertices != 800)
+        either("--spacing-m", "--vertices", self.spacing_m, self.vertices != 1500)
         recorded = self.source.suffix.lower() == ".rrd"
         if recorded and (self.against or self.poke):
             raise InputError("a model with --against or --poke", "a recording, which has its own pokes")

@@ -41,6 +41,7 @@ from deformscope.stages.simulate.target_fit import (
     TargetParameters,
     TargetPoke,
     fit_target,
+    score_beyond_edge,
     surface_moved,
     target_score,
 )
@@ -60,13 +61,15 @@ LEVEL = 0.9
 
 @dataclass(frozen=True, slots=True)
 class PokeAnswer:
-    """A poke in the simulator. held_out: it was not fitted; before: errors with the measured modulus; msm: those of
-    shape matching, None without a model"""
+    """A poke in the simulator. held_out: it was not fitted; before: errors with the measured modulus; beyond_edge: of
+    the surface without the points within a cell of a flat tip's edge; msm: errors of shape matching, None without a
+    model"""
 
     poke: MeasuredPoke
     answer: TargetPoke
     held_out: bool
     after: Score
+    beyond_edge: float
     before: Score
     msm: Score | None
     msm_moved: FloatArray | None
@@ -85,6 +88,7 @@ class PokeAnswer:
             "penetration_m": self.answer.penetration,
             "force_error": self.after.force_error,
             "dent_error": self.after.surface_error,
+            "dent_error_beyond_edge": self.beyond_edge,
             "force_error_before": self.before.force_error,
             "dent_error_before": self.before.surface_error,
             "msm_force_error": self.msm and self.msm.force_error,
@@ -185,10 +189,11 @@ class SimulationResult(SourceResult):
                 f"{one.after.force_error or 0.0:+.1%}",
                 f"{one.before.surface_error:.1%}",
                 f"{one.after.surface_error:.1%}",
+                f"{one.beyond_edge:.1%}",
             )
             for one in self.pokes
         ]
-        names = ("poke", "force before", "force", "dent before", "dent")
+        names = ("poke", "force before", "force", "dent before", "dent", "off the edge")
         return (
             Table([*found, ("body", body), *self.source_rows()], caption=f"{self.target} {self.version}"),
             Table(rows, names, "Errors, with the measured modulus and with the needed one, of force and of the depth"),
@@ -257,7 +262,8 @@ def simulate(config: SimulateConfig, progress: Progress | None = None) -> Simula
     for poke, before, after in zip(pokes, first, last, strict=True):
         msm_moved, msm = predict_seen(model, poke.seen)[1:] if model is not None else (None, None)
         ours, typed = (target_score(mesh, poke, one, config.target) for one in (after, before))
-        answers.append(PokeAnswer(poke, after, any(one is poke for one in test), ours, typed, msm, msm_moved))
+        off = score_beyond_edge(mesh, poke, after)
+        answers.append(PokeAnswer(poke, after, any(one is poke for one in test), ours, off, typed, msm, msm_moved))
     result = SimulationResult(
         name=str(config.source),
         settings=settings,

@@ -73,11 +73,15 @@ def press(asked: dict[str, Any]) -> Iterator[dict[str, Any]]:
 
     for poke in asked["pokes"]:
         model, data, above = scene(mujoco, asked, poke)
-        for _ in range(RAMP):  # under its own weight
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_flex(model, data)
+        height = data.flexvert_xpos[:, 2].copy()
+        upper = height >= height.max() - 1e-9
+        for _ in range(RAMP):  # under its own weight, which moves the vertices below each other sideways too
             step()
         rest = data.flexvert_xpos.copy()
-        aside = np.linalg.norm(rest[:, :2] - poke["at_m"], axis=1)
-        touching = float(rest[aside <= aside.min() + 1e-6, 2].max()) + above
+        aside = np.linalg.norm(rest[upper, :2] - poke["at_m"], axis=1)
+        touching = float(rest[upper, 2][aside.argmin()]) + above
         forces, depths, now, at, steps = [], [], np.zeros(2), 0.0, 0
         began = time.perf_counter()
         for depth in poke["depth_m"]:

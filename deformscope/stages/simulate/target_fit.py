@@ -110,6 +110,24 @@ def surface_moved(mesh: SlabMesh, poke: MeasuredPoke, answer: TargetPoke) -> Flo
     return moved
 
 
+def followed(mesh: SlabMesh, seen: SeenPoke) -> BoolArray:
+    """(n,) points where such cells can follow the surface: at the edge of a flat tip it falls within a millimetre, and
+    within a cell of it they cannot."""
+    off = np.abs(seen.points[:, :2] - seen.at[:2])
+    aside = np.linalg.norm(np.maximum(off - seen.tip.half, 0.0), axis=1)
+    if seen.tip.shape != "flat":
+        aside = np.linalg.norm(off, axis=1) - seen.tip.half[0]
+    cell = max(float(np.diff(axis).max()) for axis in mesh.axes[:2])
+    return np.asarray((aside <= 0.0) | (aside >= cell) | (seen.tip.shape == "sphere"))
+
+
+def score_beyond_edge(mesh: SlabMesh, poke: MeasuredPoke, answer: TargetPoke) -> float:
+    """Error of the surface where the cells can follow it, as a share of the depth."""
+    kept, moved = followed(mesh, poke.seen), surface_moved(mesh, poke, answer)
+    seen = replace(poke.seen, points=poke.seen.points[kept], moved=poke.seen.moved[kept])
+    return score_of("", seen, moved[kept], None).surface_error
+
+
 def target_score(mesh: SlabMesh, poke: MeasuredPoke, answer: TargetPoke, method: str) -> Score:
     """Errors on one poke: of the surface, and the largest of the forces."""
     found = score_of(method, poke.seen, surface_moved(mesh, poke, answer), float(answer.force[-1]))
@@ -131,7 +149,7 @@ def fit_target(
     low, high = (TargetParameters(one[0], one[1], one[2] * start.contact).vector for one in (LOWEST, HIGHEST))
     at, deviation = start.vector, np.full(3, np.inf)
     total, done = MOST_ROUNDS * (len(open_) + 1) + 1, 0
-    near = [_near(poke.seen, mesh.size[2]) for poke in pokes]
+    near = [_near(poke.seen, mesh.size[2]) & followed(mesh, poke.seen) for poke in pokes]
     errors: list[float] = []
 
     def run(vector: FloatArray) -> _Run:

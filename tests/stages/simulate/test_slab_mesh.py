@@ -15,7 +15,7 @@ NONE = np.zeros((0, 3))
 
 
 def surface(side: float = 0.2, hole: float = 0.0) -> MeasuredSurface:
-    axis = np.arange(0.0, side + 1e-9, 0.01)
+    axis = np.arange(0.0, side + 1e-9, 0.005)
     points = np.stack(np.meshgrid(axis, axis, [0.03], indexing="ij"), axis=-1).reshape(-1, 3)
     return MeasuredSurface(points[np.linalg.norm(points[:, :2] - 0.5 * side, axis=1) >= hole], 0.03)
 
@@ -61,8 +61,10 @@ def test_the_slab_is_the_part_around_the_pokes_with_about_so_many_vertices() -> 
     mesh = slab_around(surface(), [poke((0.1, 0.1)), poke((0.11, 0.09))], None, 800)
     assert 400 <= len(mesh.vertices) <= 1000
     assert mesh.size[2] == pytest.approx(0.03)
-    assert mesh.axes[0][0] < 0.1 - 0.01 - 0.03
-    assert mesh.axes[0][-1] > 0.11 + 0.01 + 0.03
+    assert mesh.axes[0][0] < 0.1 - 0.01 - 0.02
+    assert mesh.axes[0][-1] > 0.11 + 0.01 + 0.02
+    width, height = (float(np.diff(mesh.axes[axis])[0]) for axis in (0, 2))
+    assert 1.0 < height / width < 2.5
     assert slab_around(surface(), [poke((0.1, 0.1))], 0.01, 800).cells[2] == 3
     assert slab_around(surface(), [poke((0.015, 0.1))], None, 800).axes[0][0] == 0.0
 

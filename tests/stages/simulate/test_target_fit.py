@@ -17,6 +17,8 @@ from deformscope.stages.simulate.target_fit import (
     TargetParameters,
     TargetPoke,
     fit_target,
+    followed,
+    score_beyond_edge,
     surface_moved,
     target_score,
 )
@@ -134,3 +136,24 @@ def test_of_heights_alone_sideways_motion_is_not_compared() -> None:
     moved = surface_moved(MESH, heights, answer)
     np.testing.assert_array_equal(moved[:, :2], 0.0)
     assert moved[:, 2].min() == pytest.approx(poke.seen.moved[:, 2].min(), rel=0.05)
+
+
+def test_the_surface_within_a_cell_of_a_flat_tips_edge_neither_counts_nor_is_fitted() -> None:
+    """Cells of 10 mm, a tip of 20 mm: points 1 to 9 mm beyond its edge fall out, of a ball none."""
+    across = np.array([0.0, 0.009, 0.011, 0.019, 0.021, 0.03])
+    places = np.column_stack([0.04 + across, np.full(6, 0.04), np.full(6, 0.03)])
+    poke = measured()[0]
+    flat = replace(poke.seen, points=places, moved=np.zeros((6, 3)))
+    disc, ball = (replace(flat, tip=Tip(shape, (0.02,))) for shape in ("disc", "sphere"))
+    for seen, kept in ((flat, 4), (disc, 4), (ball, 6)):
+        assert followed(MESH, seen).sum() == kept
+    assert not followed(MESH, flat)[[2, 3]].any()
+    spoilt = poke.seen.moved.copy()
+    spoilt[~followed(MESH, poke.seen)] += 1.0
+    assert (~followed(MESH, poke.seen)).any()
+    wrong = replace(poke, seen=replace(poke.seen, moved=spoilt))
+    answer = Elements()(TRUE, [poke])[0]
+    assert score_beyond_edge(MESH, wrong, answer) == score_beyond_edge(MESH, poke, answer) < 1e-6
+    assert target_score(MESH, wrong, answer, "elements").surface_error > 1.0
+    fit = fit_target(MESH, [wrong, *measured()[1:]], Elements(), START, (True, True, True))
+    assert fit.parameters.poisson == pytest.approx(TRUE.poisson, abs=0.02)
