@@ -1,10 +1,10 @@
 """`python -m studies simulators`: finite element slabs in other simulators, before and after `deformscope simulate`.
 
 python -m studies simulators --python with-mujoco/bin/python
-python -m studies simulators --python with-mujoco/bin/python --cases 1 --vertices 500 1000 2000 --timestep-s 0.005 0.01
+python -m studies simulators --python with-mujoco/bin/python --cases 1 --vertices 750 1500 3000 --timestep-s 0.005 0.01
 
-A linear slab of 30 mm, glued to the ground, is pressed by a flat tip of 30 mm to .5, 1 and 1.5 mm. Two of these pokes are
-fitted, the third is the test. One more presses elsewhere, where the mesh lies otherwise under the tip.
+A linear slab of 30 mm, glued to the ground, is pressed by a flat tip of 30 mm to .5, 1 and 1.5 mm. Two of these pokes
+are fitted, the third is the test. One more presses elsewhere, where the mesh lies otherwise under the tip.
 """
 
 import tempfile

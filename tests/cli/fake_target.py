@@ -1,10 +1,12 @@
 """Stands in for a simulator's process: a slab that answers as a spring, proportional to its modulus.
 
-FAKE_TARGET says how it misbehaves: missing, crash, garbage, error, hang, slow."""
+FAKE_TARGET says how it misbehaves: missing, crash, garbage, error, hang, slow; interrupt: a person presses
+Ctrl-C at its fifth run."""
 
 import json
 import os
 import re
+import signal
 import sys
 import time
 from pathlib import Path
@@ -15,7 +17,9 @@ SOFTER = 0.8
 
 
 def main() -> None:
-    for line in sys.stdin:
+    for number, line in enumerate(sys.stdin):
+        if HOW == "interrupt" and number == 5:
+            os.kill(os.getppid(), signal.SIGINT)
         time.sleep(0.7 if HOW == "slow" else 0.0)
         asked = json.loads(line)
         if asked["do"] == "version":
@@ -31,7 +35,7 @@ def main() -> None:
         if HOW == "error":
             print(json.dumps({"error": "ValueError: unknown attribute 'dof'"}), flush=True)
         given = asked["parameters"]
-        for poke in asked["pokes"] if HOW in ("", "slow") else ():
+        for poke in asked["pokes"] if HOW in ("", "slow", "interrupt") else ():
             area = poke["size_m"][0] * poke["size_m"][-1]
             force = [SOFTER * given["young"] * area / 0.03 * depth for depth in poke["depth_m"]]
             rest = vertices_of(asked["asset"])

@@ -175,6 +175,33 @@ def test_the_time_limit_leaves_the_best_fit_so_far(folder: Path, monkeypatch: Pa
     assert all(one["target_force_n"] for one in told["pokes"])
 
 
+def test_ctrl_c_leaves_the_best_fit_so_far(folder: Path, monkeypatch: Patch, capsys: Capture) -> None:
+    """Pressed in the fifth run, that of the first step: the body and the errors are those of the start."""
+    monkeypatch.setenv("FAKE_TARGET", "interrupt")
+    assert main(command(folder, "--json", "-", out="interrupted")) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["converged"] is False
+    assert told["stable_timestep_s"] is None
+    body = ET.parse(folder / "interrupted" / "slab.xml").getroot().find("worldbody/flexcomp/elasticity")
+    assert body is not None
+    assert float(body.attrib["young"]) == pytest.approx(told["needed"]["young_pa"], rel=1e-5)
+
+
+def test_a_hole_below_the_pokes_is_refused(folder: Path, capsys: Capture) -> None:
+    with np.load(folder / "model.npz") as found:
+        arrays = dict(found)
+    rest = arrays["rest"]
+    far = np.linalg.norm(rest[:, :2] - (0.09, 0.045), axis=1) > 0.035
+    assert not far.all()
+    np.savez(
+        folder / "holed.npz", **{k: v[far] if len(v.shape) and len(v) == len(rest) else v for k, v in arrays.items()}
+    )
+    args = command(folder)
+    args[1] = str(folder / "holed.npz")
+    assert main(args) == 2
+    assert "a surface without a hole around the pokes" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("target", ["mujoco", "newton"])
 def test_bad_input_is_one_line(folder: Path, target: str, capsys: Capture) -> None:
     model, out = str(folder / "model.npz"), ["--in", target, "--out", str(folder / "bad"), *QUIET]
