@@ -1,12 +1,15 @@
 """`python -m studies simulators`: finite element slabs in other simulators, before and after `deformscope simulate`.
 
-python -m studies simulators --python with-mujoco/bin/python
+python -m studies simulators --python with-mujoco/bin/python --surprises
 python -m studies simulators --python with-mujoco/bin/python --cases 1 --vertices 750 1500 3000 --timestep-s 0.005 0.01
 
 A linear slab of 30 mm, glued to the ground, is pressed by a flat tip of 30 mm to .5, 1 and 1.5 mm. Two of these pokes
 are fitted, the third is the test. One more presses elsewhere, where the mesh lies otherwise under the tip.
 """
 
+import json
+import subprocess
+import sys
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,6 +23,7 @@ import deformscope as ds
 from deformscope.arrays import FloatArray
 from deformscope.config import flags
 from deformscope.config.simulate import Target
+from deformscope.errors import InputError
 from deformscope.files.model_file import save_model
 from deformscope.lab.slab import RigidTip, Slab, press
 from deformscope.pictures.report import Table
@@ -122,6 +126,8 @@ class SimulatorsConfig(StudyOptions):
     """Time steps; default: the simulator's."""
     python: Annotated[Path | None, flags.one_word("PYTHON", Path), flags.unset] = None
     """The interpreter with it; default: this one."""
+    surprises: bool = False
+    """Show too what one would not guess of MuJoCo."""
 
 
 def trials(options: SimulatorsConfig) -> list[Trials[SlabCase, SlabOutcome]]:
@@ -143,7 +149,21 @@ def report(options: SimulatorsConfig, seconds: float, outcomes: Sequence[SlabOut
     )
     rows = [_row(one) for one in outcomes]
     version = outcomes[0].found["version"] if outcomes else ""
-    return StudyReport([Table(rows, names, f"{options.target} {version}, {seconds:.0f} s")], {"slabs": outcomes})
+    tables = [Table(rows, names, f"{options.target} {version}, {seconds:.0f} s")]
+    guesses = surprises(options.python) if options.surprises else ()
+    if guesses:
+        tables.append(Table(guesses, ("what", "one would guess", "seen"), f"MuJoCo {version}"))
+    return StudyReport(tables, {"slabs": outcomes, "surprises": guesses})
+
+
+def surprises(python: Path | None) -> list[tuple[str, ...]]:
+    """What one would not guess of MuJoCo, what one would guess, and what was seen."""
+    script = Path(__file__).with_name("mujoco_surprises.py")
+    found = subprocess.run([python or sys.executable, "-I", script], capture_output=True, text=True, check=False)
+    if found.returncode:
+        said = (found.stderr.strip().splitlines() or ["no message"])[-1]
+        raise InputError("MuJoCo to answer", said, "--python with mujoco", where=python)
+    return [tuple(row) for row in json.loads(found.stdout.strip().splitlines()[-1])]
 
 
 def _row(one: SlabOutcome) -> tuple[str, ...]:

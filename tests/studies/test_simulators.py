@@ -1,8 +1,11 @@
 """Slabs of finite elements in MuJoCo."""
 
+from pathlib import Path
+
 import pytest
 
-from studies.simulators import CASES, SimulatorsConfig, SlabCase, SlabOutcome, report, trials, try_slab
+from deformscope.errors import InputError
+from studies.simulators import CASES, SimulatorsConfig, SlabCase, SlabOutcome, report, surprises, trials, try_slab
 from tests.cli.test_simulate_command import WITH_TARGETS, has
 
 
@@ -36,3 +39,21 @@ def test_an_unseen_depth_is_within_5_percent_after_the_fit() -> None:
     assert isinstance(pokes, list)
     assert abs(pokes[1]["force_error"]) < 0.05
     assert pokes[1]["force_error_before"] > 0.1
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not has("mujoco"), reason="needs mujoco, or DEFORMSCOPE_TARGETS_PYTHON with it")
+def test_the_surprises_are_those_in_docs() -> None:
+    docs = (Path(__file__).parents[2] / "docs" / "results" / "simulators.md").read_text(encoding="utf-8")
+    rows = surprises(Path(WITH_TARGETS))
+    assert len(rows) == 5
+    for what, guess, _ in rows:
+        assert f"| {what} | {guess} |" in docs
+
+
+def test_without_the_target_its_surprises_are_one_line(tmp_path: Path) -> None:
+    python = tmp_path / "python"
+    python.write_text("#!/bin/sh\necho No module named mujoco >&2; exit 1\n")
+    python.chmod(0o755)
+    with pytest.raises(InputError, match="No module named mujoco"):
+        surprises(python)
