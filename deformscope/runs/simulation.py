@@ -61,8 +61,8 @@ LEVEL = 0.9
 
 @dataclass(frozen=True, slots=True)
 class PokeAnswer:
-    """A poke in the simulator. held_out: it was not fitted; before: errors with the measured modulus; beyond_edge: of
-    the surface without the points within a cell of a flat tip's edge; msm: errors of shape matching, None without a
+    """A poke in the simulator. held_out: it was not fitted; before: errors with the measured modulus; beyond_edge: the
+    surface's error without the points within a cell of a flat tip's edge; msm: errors of shape matching, None without a
     model"""
 
     poke: MeasuredPoke
