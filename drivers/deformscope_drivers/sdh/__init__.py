@@ -2,7 +2,6 @@
 
 from deformscope_drivers.sdh.codes import AxisState as AxisState
 from deformscope_drivers.sdh.codes import Controller as Controller
-from deformscope_drivers.sdh.codes import Grasp as Grasp
 from deformscope_drivers.sdh.codes import VelocityProfile as VelocityProfile
 from deformscope_drivers.sdh.config import SdhConfig as SdhConfig
 from deformscope_drivers.sdh.device import CurrentMode as CurrentMode
@@ -13,4 +12,3 @@ from deformscope_drivers.sdh.double import SdhDouble as SdhDouble
 from deformscope_drivers.sdh.results import HandReading as HandReading
 from deformscope_drivers.sdh.results import MoveResult as MoveResult
 from deformscope_drivers.sdh.results import Outcome as Outcome
-from deformscope_drivers.sdh.results import StopReport as StopReport

@@ -36,19 +36,10 @@ class Controller(IntEnum):
 
 
 class VelocityProfile(IntEnum):
-    """Speed of a pose move over its time; `selgrip` and `grip` have SIN_SQUARE only."""
+    """Speed of a pose move over its time."""
 
     SIN_SQUARE = 0
     RAMP = 1
-
-
-class Grasp(IntEnum):
-    """The grasps of the firmware."""
-
-    CENTRICAL = 0
-    PARALLEL = 1
-    CYLINDRICAL = 2
-    SPHERICAL = 3
 
 
 # Binary command codes; the names in lower case are the commands of the ASCII protocol.
@@ -133,7 +124,6 @@ VELOCITY_MAX_DEG_S: Final = (80.0, 100.0, 100.0, 100.0, 100.0, 100.0, 100.0)
 VELOCITY_MAX_OLD_DEG_S: Final = (85.7, 200.0, 157.8, 200.0, 157.8, 200.0, 157.8)  # firmware before 0.0.2.1
 ACCELERATION_MAX_DEG_S2: Final = (5000.0, 400.0, 1500.0, 400.0, 1500.0, 400.0, 1500.0)
 CURRENT_MAX_A: Final = 1.0
-GRIP_VELOCITY_MAX_DEG_S: Final = 100.0
 
 DEFAULT_VELOCITY_DEG_S: Final = 40.0
 DEFAULT_ACCELERATION_DEG_S2: Final = 100.0

@@ -17,7 +17,7 @@ from deformscope_drivers.health import Link
 from deformscope_drivers.sdh import codes, protocol
 from deformscope_drivers.sdh.config import ByAxis, SdhConfig, within
 from deformscope_drivers.sdh.connection import SdhConnection
-from deformscope_drivers.sdh.results import HandReading, MoveResult, Outcome, StopReport
+from deformscope_drivers.sdh.results import HandReading, MoveResult, Outcome
 from deformscope_drivers.transport import Transport
 
 SETTLE_S = 0.5
@@ -25,7 +25,6 @@ SETTLE_S = 0.5
 MARGIN_S = 1.0
 LONGEST_MOTION_S = 15.0  # where old firmware does not report it: the whole range at 12 deg/s
 REFERENCE_TIMEOUT_S = 10.0
-GRIP_VELOCITY_MIN_DEG_S = 0.1
 COMMAND_TIMEOUT_S = 10.0
 ECHO_TOLERANCE = 0.06
 STILL: ByAxis = (0.0,) * codes.AXIS_COUNT
@@ -48,11 +47,11 @@ class Toward(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class _Started:
-    """A motion in progress. targets_deg: targets of each moving axis, None if the hand alone has them"""
+    """A motion in progress. targets_deg: targets of each moving axis"""
 
     sent_ns: int
     duration_s: float | None
-    targets_deg: Mapping[int, float] | None
+    targets_deg: Mapping[int, float]
     connection: int
     stops: int
 
@@ -67,7 +66,6 @@ class Sdh(SdhConnection):
         super().__init__(config, transport=transport, clock=clock)
         self._controller: codes.Controller | None = None
         self._profile: codes.VelocityProfile | None = None
-        self._grip_until_ns = 0
         self._drive_until_ns: int | None = None
         self._driven: ByAxis = STILL
         self._stops = 0
@@ -111,24 +109,9 @@ class Sdh(SdhConnection):
 
         return self._run_motion(start, wait, timeout_s)
 
-    def select_grip(self, grasp: codes.Grasp, *, wait: bool = True, timeout_s: float | None = None) -> MoveResult:
-        """Turn the fingers to where a grasp needs them. `stop` does not end this."""
-        grasp = codes.Grasp(grasp)
-        return self._run_motion(lambda: self._grip("selgrip", float(grasp)), wait, timeout_s)
-
-    def grip(
-        self, close: float, velocity_deg_s: float, *, wait: bool = True, timeout_s: float | None = None
-    ) -> MoveResult:
-        """Close the selected grasp: 0 open to 1 closed, at up to 100 deg/s. `stop` does not end this."""
-        within("closing", "", close, 0.0, 1.0, self.name)
-        within(
-            "grip velocity", "deg/s", velocity_deg_s, GRIP_VELOCITY_MIN_DEG_S, codes.GRIP_VELOCITY_MAX_DEG_S, self.name
-        )
-        return self._run_motion(lambda: self._grip("grip", close, velocity_deg_s), wait, timeout_s)
-
-    def stop(self) -> StopReport:
-        """Stop what `move` and `drive` started, at once; the axes stay on. See StopReport for motions that continue."""
-        return self._do(self._stop_now, COMMAND_TIMEOUT_S)
+    def stop(self) -> None:
+        """Stop what moves, at once; the axes stay on."""
+        self._do(self._stop_now, COMMAND_TIMEOUT_S)
 
     # Velocities ------------------------------------------------------------------------------------------------------
 
@@ -170,7 +153,7 @@ class Sdh(SdhConnection):
     def power(self, on: bool | Sequence[bool]) -> None:
         """Switch axes on, so that they hold their angles, or off: one value for all, or (7,).
 
-        Raises SettingsRefused when the hand reports another value than was set, as during a grip."""
+        Raises SettingsRefused when the hand reports another value than was set."""
         wanted = (on,) * codes.AXIS_COUNT if isinstance(on, bool) else tuple(on)
         if len(wanted) != codes.AXIS_COUNT:
             raise OutOfLimits(f"{codes.AXIS_COUNT} values, one per axis", f"{len(wanted)}", where=self.name)
@@ -273,14 +256,12 @@ class Sdh(SdhConnection):
 
     def _result(self, started: _Started, reading: HandReading, timed_out: bool) -> MoveResult:
         elapsed_s = (reading.stamp.host_ns - started.sent_ns) / 1e9
-        axes = range(codes.AXIS_COUNT) if started.targets_deg is None else sorted(started.targets_deg)
+        axes = sorted(started.targets_deg)
         blocked = tuple(axis for axis in axes if reading.state[axis] in codes.BLOCKED)
         limited = tuple(axis for axis in axes if reading.state[axis] is codes.AxisState.LIMITS_REACHED)
         disabled = tuple(axis for axis in axes if reading.state[axis] is codes.AxisState.DISABLED)
-        error_deg: float | None = None
-        if started.targets_deg is not None:
-            error_deg = max(abs(float(reading.position_deg[axis]) - started.targets_deg[axis]) for axis in axes)
-        arrived = error_deg is not None and error_deg <= codes.POSITION_EPSILON_DEG
+        error_deg = max(abs(float(reading.position_deg[axis]) - started.targets_deg[axis]) for axis in axes)
+        arrived = error_deg <= codes.POSITION_EPSILON_DEG
         if timed_out:
             outcome = Outcome.TIMED_OUT
         elif self._stops != started.stops and not arrived:
@@ -292,7 +273,7 @@ class Sdh(SdhConnection):
         elif limited:
             outcome = Outcome.LIMITED
         else:
-            outcome = Outcome.REACHED if error_deg is None else Outcome.MISSED
+            outcome = Outcome.MISSED
         return MoveResult(outcome, started.duration_s, elapsed_s, blocked, limited, disabled, error_deg, reading)
 
     # Within: the device's thread -------------------------------------------------------------------------------------
@@ -302,7 +283,7 @@ class Sdh(SdhConnection):
         super()._start()
         self._expect(self.config.rate_hz)
         self._controller = self._profile = None
-        self._grip_until_ns, self._drive_until_ns = 0, None
+        self._drive_until_ns = None
         if again:
             if self._release >= codes.CONTROLLERS_SINCE and self._values("con") != (float(codes.Controller.POSE),):
                 self._set("v", STILL)
@@ -311,7 +292,7 @@ class Sdh(SdhConnection):
             self._stopped_after_reconnect += 1
 
     def _stop(self) -> None:
-        """On closing: stoppable motions end, and axes that were switched on are switched off."""
+        """On closing: motions end, and axes that were switched on are switched off."""
         if not self._switched_on:
             return
         self._switched_on = False
@@ -340,11 +321,10 @@ class Sdh(SdhConnection):
         """While velocities are driven they are sent again each time, which also answers with the actual ones."""
         return super()._velocity_query() if self._drive_until_ns is None else ("tvav", self._driven)
 
-    def _stop_now(self) -> StopReport:
+    def _stop_now(self) -> None:
         self._halt()
         self._values("stop")
         self._stops += 1
-        return StopReport(max(0.0, (self._grip_until_ns - self._clock()) / 1e9))
 
     def _halt(self) -> None:
         """End velocities that `drive` set: all are set to 0."""
@@ -372,19 +352,6 @@ class Sdh(SdhConnection):
         now_deg = self._exchange(protocol.Command("pos"), protocol.Reading).values
         actual = np.clip(now_deg, limits.position_min_deg, limits.position_max_deg)
         return tuple(targets.get(axis, float(actual[axis])) for axis in range(codes.AXIS_COUNT))
-
-    def _grip(self, name: str, *values: float) -> _Started:
-        """Sent once only: a second one may come while the first is in progress."""
-        self._take_up(codes.Controller.POSE, codes.VelocityProfile.SIN_SQUARE)
-        reports_duration = self._release >= codes.DURATION_REPLIES_SINCE
-        timeout_s = None if reports_duration else LONGEST_MOTION_S  # older firmware answers when it is done
-        self._switched_on = True
-        sent_ns = self._clock()
-        self._grip_until_ns = sent_ns + round(LONGEST_MOTION_S * 1e9)  # while nothing better is known
-        reported = self._values(name, *values, timeout_s=timeout_s, tries=1)
-        duration_s = reported[0] if reports_duration and reported else None
-        self._grip_until_ns = self._clock() + round((duration_s or 0.0) * 1e9)
-        return _Started(sent_ns, duration_s, None, self._connections, self._stops)
 
     def _set(self, name: str, values: ByAxis) -> None:
         """Set, and see that it is so. The precision of the hand's repeated values is not documented."""

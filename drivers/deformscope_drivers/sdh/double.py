@@ -32,7 +32,7 @@ class SdhDouble:
     """A simulated SDH hand.
 
     firmware: determines its features: binary from 0.0.2.15 on, `con` and `rvel` from 0.0.2.6, `vlim` from 0.0.2.1,
-    `alim` from 0.0.2.7; before 0.0.3.1 it adds debug lines, and answers `m`, `selgrip` and `grip` without duration
+    `alim` from 0.0.2.7; before 0.0.3.1 it adds debug lines, and answers `m` without duration
     state_lag_s: time after a command during which it reports the old axis states (IPA's driver waits for 0.5 s)"""
 
     def __init__(

@@ -1,13 +1,13 @@
 """Commands of a simulated SDH hand, and its firmware's answers.
 
-Undocumented behaviour is the simplest one, marked "assumed": the answer to `stop`, that `selgrip` turns only the base
-axis, and the commands that are refused during a grip."""
+Undocumented behaviour is the simplest one, marked "assumed". The firmware's grips, which `stop` does not end, are
+refused."""
 
 from collections import deque
 from collections.abc import Callable, Sequence
 
 from deformscope_drivers.sdh import codes
-from deformscope_drivers.sdh.motion import Axis, Motion, grasp_angles_deg
+from deformscope_drivers.sdh.motion import Axis, Motion
 from deformscope_drivers.sdh.protocol import Command, DebugLine, Event, Reading, TextReply, ValueReply
 
 UNKNOWN, FORMAT, RANGE, INDEX, FAILED, FEW, NONE_EXPECTED = 13, 14, 24, 26, 17, 11, 12
@@ -35,7 +35,7 @@ class Refusal(Exception):
 class Firmware:
     """The commands of one release, on a hand that moves.
 
-    busy_until_ns: until then it does not answer: older releases during a grip, all during referencing
+    busy_until_ns: until then it does not answer, during referencing
     last_line: its output then"""
 
     def __init__(self, version: str, texts: dict[str, str], state_lag_s: float) -> None:
@@ -55,9 +55,6 @@ class Firmware:
         self.refusals: deque[int] = deque()
         self.busy_until_ns = 0
         self.last_line: Event | None = None
-        self._grasp = codes.Grasp.CENTRICAL
-        self._gripping_until_ns = 0
-        self._after_grip: Callable[[], None] | None = None
         self._lag_until_ns = 0
         self._reported_states = tuple(axis.state for axis in self.motion.axes)
         self._integers = dict.fromkeys(codes.INTEGER_COMMANDS, 0)
@@ -66,10 +63,6 @@ class Firmware:
 
     def advance(self, now_ns: int) -> None:
         """Everything that happens until then without a command."""
-        if self._after_grip is not None and self._gripping_until_ns <= now_ns:
-            self.motion.advance(self._gripping_until_ns)
-            self._after_grip()
-            self._after_grip = None
         self.motion.advance(now_ns)
 
     def do(self, command: Command, now_ns: int) -> list[Event]:
@@ -91,12 +84,9 @@ class Firmware:
             case "m" | "get_duration":
                 return self._move(name, now_ns)
             case "stop":
-                if now_ns >= self._gripping_until_ns:  # a grip goes on, and so do its reports
-                    self._keep_reporting(now_ns, lag=False)
-                    self.motion.stop()
+                self._keep_reporting(now_ns, lag=False)
+                self.motion.stop()
                 return [ValueReply("stop")]  # assumed
-            case "selgrip" | "grip":
-                return self._grip(command, now_ns)
             case "con":
                 return [self._controller(values, now_ns)]
             case "vp" | "user_errors" | "terminal" | "debug":
@@ -110,7 +100,7 @@ class Firmware:
                 return [ValueReply(name, values, command.axis)]
             case "numaxis":
                 return [ValueReply(name, (float(codes.AXIS_COUNT),))]
-        raise Refusal(UNKNOWN)  # `demo` too: nothing here moves without a target
+        raise Refusal(UNKNOWN)  # `grip` and `demo` too: nothing here moves without a target that can be stopped
 
     def _axes(self, command: Command) -> list[tuple[int, Axis]]:
         axes = list(enumerate(self.motion.axes))
@@ -157,7 +147,7 @@ class Firmware:
             for (index, axis), value in zip(axes, values, strict=True):
                 if name != "power":
                     setattr(axis, SETTINGS[name], value)
-                elif now_ns >= self._gripping_until_ns:  # a grip cannot be switched off either
+                else:
                     self.motion.power(index, bool(value))
             if name in ("v", "tvav") and self.motion.controller is not codes.Controller.POSE:
                 self._keep_reporting(now_ns)
@@ -210,7 +200,7 @@ class Firmware:
         return f"max distance={distance:.2f}, T={duration_s:.2f}s, num_points: {points}"
 
     def _move(self, name: str, now_ns: int) -> list[Event]:
-        if self.motion.controller is not codes.Controller.POSE or now_ns < self._gripping_until_ns:
+        if self.motion.controller is not codes.Controller.POSE:
             raise Refusal(FAILED)  # assumed
         targets = [axis.target_deg for axis in self.motion.axes]
         velocities = [axis.target_velocity_deg_s for axis in self.motion.axes]
@@ -225,46 +215,6 @@ class Firmware:
         if self._reports_duration:
             return [ValueReply(name, (duration_s,))]
         return [DebugLine("Enabling all axis"), DebugLine(plan), ValueReply(name)]
-
-    def _grip(self, command: Command, now_ns: int) -> list[Event]:
-        if (
-            self.motion.profile is not codes.VelocityProfile.SIN_SQUARE
-            or self.motion.controller is not codes.Controller.POSE
-        ):
-            raise Refusal(FAILED)  # assumed
-        if now_ns < self._gripping_until_ns:
-            raise Refusal(FAILED)  # assumed
-        axes = self.motion.axes
-        if command.name == "selgrip":
-            (number,) = _exactly(command.values, 1)
-            if number not in tuple(codes.Grasp):
-                raise Refusal(RANGE)
-            self._grasp = codes.Grasp(int(number))
-            base_deg = grasp_angles_deg(self._grasp, 0.0)[0]
-            targets: list[float | None] = [base_deg, *[None] * (codes.AXIS_COUNT - 1)]
-            velocities = [axis.target_velocity_deg_s for axis in axes]
-            moved, first, reported = range(codes.AXIS_COUNT), "Enabling all axis", (number,)
-        else:
-            close, velocity = _exactly(command.values, 2)
-            if not 0.0 <= close <= 1.0 or not 0.0 < velocity <= codes.GRIP_VELOCITY_MAX_DEG_S:
-                raise Refusal(RANGE)
-            targets = [None, *grasp_angles_deg(self._grasp, close)[1:]]
-            velocities = [velocity] * codes.AXIS_COUNT
-            moved, first, reported = range(1, codes.AXIS_COUNT), "Enabling finger axis", (close,)
-        self._keep_reporting(now_ns)
-        for index in moved:
-            self.motion.power(index, True)
-        plan = self._plan_line(targets, self.motion.duration_s(targets, velocities))
-        duration_s = self.motion.start(targets, velocities)
-        self._gripping_until_ns = now_ns + round(duration_s * 1e9)
-        if command.name == "selgrip":
-            self._after_grip = lambda: self.motion.power(0, False)
-        if self._reports_duration:
-            return [ValueReply(command.name, (duration_s, *reported))]
-        self.busy_until_ns = self._gripping_until_ns
-        self.last_line = ValueReply(command.name, reported)
-        currents = "Setting current limit to " + " ".join(f"@{axis.grip_current_a:.1f}" for axis in axes) + " @"
-        return self._debug(first, currents, plan)
 
     def _controller(self, values: tuple[float, ...], now_ns: int) -> Event:
         if self.release < codes.CONTROLLERS_SINCE:

@@ -1,10 +1,10 @@
 """Motion of a simulated hand: seven axes with profiles, velocity control, limits, obstacles, and motors that warm up.
 
-Known from Schunk's library and its trace of old firmware: all axes of a pose move start and end together, and the
-grasps' angles. The sin² profile takes twice the distance over the set velocity (8.31 deg at 40 deg/s have T=0.42s, 42
-points: the hand's cycle is 10 ms). Assumed: the ramp profile is a trapezoid; `stop` slows down by the set acceleration;
-"CW" is the direction of growing angles; the temperatures' time and size. Also assumed: an axis in soft contact
-continues at its set speed within its current limit, and reports `blocked` while it hardly moves; gears hold."""
+Known from Schunk's library and its trace of old firmware: all axes of a pose move start and end together. The sin²
+profile takes twice the distance over the set velocity (8.31 deg at 40 deg/s have T=0.42s, 42 points: the hand's cycle
+is 10 ms). Assumed: the ramp profile is a trapezoid; `stop` slows down by the set acceleration; "CW" is the direction
+of growing angles; the temperatures' time and size. Also assumed: an axis in soft contact continues at its set speed
+within its current limit, and reports `blocked` while it hardly moves; gears hold."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -16,15 +16,6 @@ from deformscope_drivers.sdh import codes
 
 CYCLE_NS: Final = 10_000_000
 _CYCLE_S: Final = CYCLE_NS / 1e9
-
-# Base axis; proximal and distal axes when open; when closed [deg]. Rounded from angles that a public ROS node
-# (sdh2_hand) notes of a real hand; they also give the `Grip vector` of -66.8 and 66.8 that Schunk's trace shows.
-GRASPS: Final = {
-    codes.Grasp.CENTRICAL: (60.0, (-75.0, 75.0), (7.0, -7.0)),
-    codes.Grasp.PARALLEL: (0.0, (-75.0, 75.0), (7.0, -7.0)),
-    codes.Grasp.CYLINDRICAL: (0.0, (-30.0, 30.0), (0.0, 75.0)),
-    codes.Grasp.SPHERICAL: (60.0, (-40.0, 40.0), (-15.0, 55.0)),
-}
 
 AMBIENT_C: Final = 24.0
 _WARMING_K_PER_A2: Final = 30.0
@@ -42,14 +33,6 @@ class Compliance(Protocol):
     ) -> Sequence[float]:
         """(7,) angles that the axes reach within a cycle, between their present and their desired angles, with motor
         currents of at most `current_a`. Called in each cycle, also when no axis moves."""
-
-
-def grasp_angles_deg(grasp: codes.Grasp, close: float) -> tuple[float, ...]:
-    """The angles (7,) of all axes for a grasp that is closed by 0 (open) to 1."""
-    base, (open_proximal, open_distal), (closed_proximal, closed_distal) = GRASPS[grasp]
-    proximal = open_proximal + close * (closed_proximal - open_proximal)
-    distal = open_distal + close * (closed_distal - open_distal)
-    return (base, *(proximal, distal) * 3)
 
 
 def ramp_duration_s(distance_deg: float, velocity_deg_s: float, acceleration_deg_s2: float) -> float:

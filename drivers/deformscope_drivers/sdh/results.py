@@ -45,7 +45,7 @@ class Outcome(StrEnum):
     """End of a motion."""
 
     STARTED = "started"  # it was not waited for
-    REACHED = "reached"  # still, at the targets; for grips, whose targets the hand knows alone: still, nothing met
+    REACHED = "reached"  # still, at the targets
     BLOCKED = "blocked"  # still; an axis met something
     LIMITED = "limited"  # still; an axis came to the end of its range
     STOPPED = "stopped"  # `stop` was called
@@ -60,7 +60,7 @@ class MoveResult:
     duration_s: what the hand planned, None where old firmware does not report it
     elapsed_s: time until it was seen at rest
     blocked, limited, disabled: axes in such a state; reading: the last one, None where it was not waited for
-    error_deg: largest distance of an axis from its target, None if the hand alone has the targets"""
+    error_deg: largest distance of an axis from its target, None where it was not waited for"""
 
     outcome: Outcome
     duration_s: float | None
@@ -70,13 +70,3 @@ class MoveResult:
     disabled: tuple[int, ...] = ()
     error_deg: float | None = None
     reading: HandReading | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class StopReport:
-    """Effect of `stop`: the hand confirmed it, and a move or a velocity ends.
-
-    grip_left_s: `stop` does not end a motion of `select_grip` and `grip` (nor does switching off, in Schunk's words);
-    remaining time of such a motion, 0 = there was none"""
-
-    grip_left_s: float = 0.0

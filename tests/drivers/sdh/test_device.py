@@ -267,9 +267,8 @@ def test_stop_half_way(lab: Make) -> None:
     assert started.outcome is sdh.Outcome.STARTED
     assert started.duration_s == pytest.approx(4.0)
     made.run(2.0)
-    report = made.hand.stop()
+    made.hand.stop()
     made.run(2.0)
-    assert report.grip_left_s == 0.0
     assert not made.double.motion.moving
     assert made.position_deg()[1] == pytest.approx(40 + 40**2 / 200, abs=2.0)  # slowed down by 100 deg/s²
 
@@ -312,39 +311,6 @@ def test_a_move_that_misses_says_so(lab: Make, monkeypatch: pytest.MonkeyPatch) 
 
     monkeypatch.setattr(made.hand, "next", switched_off)
     assert made.hand.move({1: 80.0}).disabled == (1,)
-
-
-def test_grips(lab: Make) -> None:
-    made = lab()
-    selected = made.hand.select_grip(sdh.Grasp.SPHERICAL)
-    assert selected.outcome is sdh.Outcome.REACHED
-    assert selected.duration_s == pytest.approx(3.0)  # 60 deg at 40 deg/s
-    assert made.hand.grip(1.0, 100.0).outcome is sdh.Outcome.REACHED
-    assert made.position_deg() == pytest.approx((60, -15, 55, -15, 55, -15, 55))
-    made.double.obstruct(3, low_deg=-25.0)
-    assert made.hand.grip(0.0, 50.0).blocked == (3,)
-
-
-def test_a_grip_is_not_stopped_and_that_is_reported(lab: Make) -> None:
-    made = lab()
-    made.hand.select_grip(sdh.Grasp.PARALLEL)
-    made.hand.grip(0.0, 50.0, wait=False)  # 75 deg: 3 s
-    made.run(1.0)
-    assert made.hand.stop().grip_left_s == pytest.approx(2.0, abs=0.1)
-    with pytest.raises(SettingsRefused, match="power"):
-        made.hand.power(False)
-    made.run(5.0)
-    assert made.position_deg()[1] == pytest.approx(-75.0)
-    assert made.hand.stop().grip_left_s == 0.0
-
-
-def test_old_firmware_answers_a_grip_when_it_is_done(lab: Make) -> None:
-    made = lab(sdh.SdhDouble(firmware="0.0.2.10"))
-    made.hand.select_grip(sdh.Grasp.PARALLEL)
-    result = made.hand.grip(0.1, 40.0)
-    assert result.duration_s is None
-    assert result.outcome is sdh.Outcome.REACHED
-    assert made.position_deg() == pytest.approx((0, -66.8, 66.8, -66.8, 66.8, -66.8, 66.8))
 
 
 def test_a_velocity_goes_on_while_it_is_called_for(lab: Make) -> None:
@@ -455,10 +421,6 @@ REFUSED = [
     lambda hand: hand.move(POSE, velocity_deg_s=math.nan),
     lambda hand: hand.move(POSE, acceleration_deg_s2=401.0),
     lambda hand: hand.move(POSE, acceleration_deg_s2=-1.0),
-    lambda hand: hand.grip(1.01, 40.0),
-    lambda hand: hand.grip(math.nan, 40.0),
-    lambda hand: hand.grip(0.5, 0.0),
-    lambda hand: hand.grip(0.5, 101.0),
     lambda hand: hand.drive([0, 0, 0, 0, 0, 0, -101.0]),
     lambda hand: hand.drive([math.nan] * 7),
     lambda hand: hand.drive([0.0] * 7, keep_s=3.0),

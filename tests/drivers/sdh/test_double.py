@@ -95,9 +95,8 @@ def test_what_it_refuses(talk: Talk) -> None:
         ("power(0)=2", 24),
         ("vp=2", 24),
         ("con=3", 24),
-        ("selgrip=4", 24),
-        ("grip=1.1,40", 24),
-        ("grip=1", 11),
+        ("selgrip=1", 13),
+        ("grip=0.1,40", 13),
         ("ref(0)=3", 24),
         ("pos_save(0)=2", 24),
         ("pos=1", 12),
@@ -117,11 +116,6 @@ def test_old_firmware_talks_more_and_tells_less() -> None:
     assert talk("get_duration") == plan + b"GET_DURATION=4.51\r\n"
     assert talk("m") == b"@Enabling all axis\r\n" + plan + b"m\r\n"
     talk.run(5.0)
-    talk("selgrip=1", 4.0)
-    first = talk("grip=0,40", 0.05)
-    assert b"@Enabling finger axis\r\n@Setting current limit to @1.0 @0.5 @0.5 @0.5 @0.5 @0.5 @0.5 @\r\n" in first
-    assert b"GRIP" not in first
-    assert talk.run(10.0).endswith(b"GRIP=0.0\r\n")  # when it is done; and what was asked, not how long it took
     talk.double.receive(encode(Command("pos"), binary_checksum=True), talk.now_ns)
     assert talk.run(0.5) == b""
 
@@ -135,17 +129,12 @@ def test_what_older_firmware_does_not_know(firmware: str, unknown: tuple[str, ..
     assert [line for line in ("vlim", "alim", "con", "rvel", "vel") if talk(line) == b"E13\r\n"] == list(unknown)
 
 
-def test_grips_by_the_trace(talk: Talk) -> None:
+def test_a_motion_takes_as_long_as_in_the_trace(talk: Talk) -> None:
     talk.double.place((0.0, -75.01, 75.11, -75, 75, -75, 75))
-    assert talk("selgrip=1") == b"SELGRIP=0.0,1\r\n"
-    assert talk("grip=0.1,40") == b"GRIP=0.42,0.1\r\n"  # 8.31 deg at 40 deg/s, as in Schunk's trace
-    assert talk("stop") == b"STOP\r\n"
-    assert talk("power=0,0,0,0,0,0,0").startswith(b"POWER=0,1,1")
+    talk("p=0,-66.8,66.8,-66.8,66.8,-66.8,66.8")
+    assert talk("m") == b"M=0.42\r\n"  # 8.31 deg at 40 deg/s, as in Schunk's trace
     talk.run(0.5)
     assert talk("pos") == b"POS=0.00,-66.80,66.80,-66.80,66.80,-66.80,66.80\r\n"
-    assert talk("power(0)") == b"POWER(0)=0\r\n"
-    assert talk("vp=1") == b"VP=1\r\n"
-    assert talk("grip=0.5,40") == b"E17\r\n"
 
 
 def test_reference_answers_when_it_is_done(talk: Talk) -> None:

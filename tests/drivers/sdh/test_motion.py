@@ -5,8 +5,8 @@ from collections.abc import Sequence
 
 import pytest
 
-from deformscope_drivers.sdh.codes import AxisState, Controller, Grasp, VelocityProfile
-from deformscope_drivers.sdh.motion import AMBIENT_C, CYCLE_NS, Motion, grasp_angles_deg
+from deformscope_drivers.sdh.codes import AxisState, Controller, VelocityProfile
+from deformscope_drivers.sdh.motion import AMBIENT_C, CYCLE_NS, Motion
 
 SECOND_NS = 1_000_000_000
 
@@ -158,12 +158,6 @@ def test_motors_warm_up_slowly_and_most_where_they_are_blocked() -> None:
     assert all(AMBIENT_C < temperature < AMBIENT_C + 0.5 for temperature in after[1:])
     assert moved.axes[1].temperature_c == pytest.approx(AMBIENT_C + 30 * 0.5**2 * (1 - math.exp(-1)), abs=0.2)
     assert moved.axes[2].temperature_c < AMBIENT_C + 1
-
-
-# Schunk's trace of `grip=0.1,40` with the parallel grasp: Grip vector is 0.0 -66.8 66.8 -66.8 66.8 -66.8 66.8
-def test_the_grip_vector_of_schunks_trace() -> None:
-    assert grasp_angles_deg(Grasp.PARALLEL, 0.1) == pytest.approx((0.0, -66.8, 66.8, -66.8, 66.8, -66.8, 66.8))
-    assert grasp_angles_deg(Grasp.SPHERICAL, 1.0) == (60.0, -15.0, 55.0, -15.0, 55.0, -15.0, 55.0)
 
 
 class Spring:
