@@ -11,7 +11,7 @@ from typing import Any
 import warp as wp
 
 from deformscope.stages.msm.functions import functions_for
-from deformscope.stages.msm.lanes import Ints, lanes_for, product_for, rows_for
+from deformscope.stages.msm.lanes import Ints, VectorC, lanes_for, product_for, rows_for
 from deformscope.stages.msm.members import members
 from deformscope.stages.msm.reference import NO_ROTATION, Volume
 
@@ -49,6 +49,7 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
     transform = wp.types.matrix(shape=(dim, terms), dtype=scalar)
     zero, one = scalar(0.0), scalar(1.0)
     number = f"wp::{scalar.__name__}"
+    c = VectorC(width, scalar)
     each = f"for (int l = 0; l < {width}; ++l)"
     # the rotation is accepted when its gradient is this small against the moments; else the eigenvector decides
     accept = 1e-12 if scalar is wp.float64 else 3e-6
@@ -105,75 +106,75 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
         """R - I of eq. 3.9 in the plane (transposed), the compliance of its angle, and 1. See `functions.turn_2d`. a:
         rest moments A_qq (upper triangle), c: A_pq - A_qq (transposed)"""
 
-    turned_b = f"""
-            const {number} w = q[0][l], x = q[1][l], y = q[2][l], z = q[3][l];
-            const {number} d00 = -2 * (y * y + z * z), d11 = -2 * (x * x + z * z), d22 = -2 * (x * x + y * y);
-            const {number} d01 = 2 * (x * y - w * z), d10 = 2 * (x * y + w * z);
-            const {number} d02 = 2 * (x * z + w * y), d20 = 2 * (x * z - w * y);
-            const {number} d12 = 2 * (y * z - w * x), d21 = 2 * (y * z + w * x);
+    turned_b = """
+            const V w = q[0], x = q[1], y = q[2], z = q[3];
+            const V d00 = -2 * (y * y + z * z), d11 = -2 * (x * x + z * z), d22 = -2 * (x * x + y * y);
+            const V d01 = 2 * (x * y - w * z), d10 = 2 * (x * y + w * z);
+            const V d02 = 2 * (x * z + w * y), d20 = 2 * (x * z - w * y);
+            const V d12 = 2 * (y * z - w * x), d21 = 2 * (y * z + w * x);
             // B = R^T F = F + D^T F
-            const {number} t01 = d00 * f01 + d10 * f11 + d20 * f21, t10 = d01 * f00 + d11 * f10 + d21 * f20;
-            const {number} t02 = d00 * f02 + d10 * f12 + d20 * f22, t20 = d02 * f00 + d12 * f10 + d22 * f20;
-            const {number} t12 = d01 * f02 + d11 * f12 + d21 * f22, t21 = d02 * f01 + d12 * f11 + d22 * f21;
-            const {number} b00 = f00 + d00 * f00 + d10 * f10 + d20 * f20;
-            const {number} b11 = f11 + d01 * f01 + d11 * f11 + d21 * f21;
-            const {number} b22 = f22 + d02 * f02 + d12 * f12 + d22 * f22;"""
-    rest_b = f"""
-            const {number} w = 1, x = 0, y = 0, z = 0;
-            const {number} d00 = 0, d10 = 0, d20 = 0, d01 = 0, d11 = 0, d21 = 0, d02 = 0, d12 = 0, d22 = 0;
-            const {number} t01 = 0, t10 = 0, t02 = 0, t20 = 0, t12 = 0, t21 = 0;
-            const {number} b00 = f00, b11 = f11, b22 = f22;"""
+            const V t01 = d00 * f01 + d10 * f11 + d20 * f21, t10 = d01 * f00 + d11 * f10 + d21 * f20;
+            const V t02 = d00 * f02 + d10 * f12 + d20 * f22, t20 = d02 * f00 + d12 * f10 + d22 * f20;
+            const V t12 = d01 * f02 + d11 * f12 + d21 * f22, t21 = d02 * f01 + d12 * f11 + d22 * f21;
+            const V b00 = f00 + d00 * f00 + d10 * f10 + d20 * f20;
+            const V b11 = f11 + d01 * f01 + d11 * f11 + d21 * f21;
+            const V b22 = f22 + d02 * f02 + d12 * f12 + d22 * f22;"""
+    rest_b = """
+            const V w = 1, x = 0, y = 0, z = 0;
+            const V d00 = 0, d10 = 0, d20 = 0, d01 = 0, d11 = 0, d21 = 0, d02 = 0, d12 = 0, d22 = 0;
+            const V t01 = 0, t10 = 0, t02 = 0, t20 = 0, t12 = 0, t21 = 0;
+            const V b00 = f00, b11 = f11, b22 = f22;"""
+
+    def of(name: str, row: int | str) -> str:
+        return c.at(f"{name}.data[{row}][0]")
 
     def evaluation(b: str) -> str:
         """The gradient and the next quaternion of all lanes; b: B at the present one."""
         return f"""
-        {each} {{
-            const {number} c00 = c.data[0][l], c10 = c.data[1][l], c20 = c.data[2][l];
-            const {number} c01 = c.data[3][l], c11 = c.data[4][l], c21 = c.data[5][l];
-            const {number} c02 = c.data[6][l], c12 = c.data[7][l], c22 = c.data[8][l];
-            const {number} f00 = a.data[0][l] + c00, f01 = a.data[1][l] + c01, f02 = a.data[2][l] + c02;
-            const {number} f10 = a.data[1][l] + c10, f11 = a.data[3][l] + c11, f12 = a.data[4][l] + c12;
-            const {number} f20 = a.data[2][l] + c20, f21 = a.data[4][l] + c21, f22 = a.data[5][l] + c22;{b}
+        {{
+            const V c00 = {of("c", 0)}, c10 = {of("c", 1)}, c20 = {of("c", 2)};
+            const V c01 = {of("c", 3)}, c11 = {of("c", 4)}, c21 = {of("c", 5)};
+            const V c02 = {of("c", 6)}, c12 = {of("c", 7)}, c22 = {of("c", 8)};
+            const V f00 = {of("a", 0)} + c00, f01 = {of("a", 1)} + c01, f02 = {of("a", 2)} + c02;
+            const V f10 = {of("a", 1)} + c10, f11 = {of("a", 3)} + c11, f12 = {of("a", 4)} + c12;
+            const V f20 = {of("a", 2)} + c20, f21 = {of("a", 4)} + c21, f22 = {of("a", 5)} + c22;{b}
             // gradient: axial(B); the rest part of F is symmetric and drops out
-            const {number} g0 = c21 - c12 + t21 - t12, g1 = c02 - c20 + t02 - t20, g2 = c10 - c01 + t10 - t01;
-            const {number} h00 = b11 + b22, h11 = b00 + b22, h22 = b00 + b11;
-            const {number} h01 = (f01 + t01 + f10 + t10) / -2, h02 = (f02 + t02 + f20 + t20) / -2;
-            const {number} h12 = (f12 + t12 + f21 + t21) / -2;
-            const {number} m00 = h11 * h22 - h12 * h12, m01 = h02 * h12 - h01 * h22, m02 = h01 * h12 - h02 * h11;
-            const {number} m11 = h00 * h22 - h02 * h02, m12 = h01 * h02 - h00 * h12, m22 = h00 * h11 - h01 * h01;
-            const {number} det = h00 * m00 + h01 * m01 + h02 * m02;
-            const {number} inverse = 1 / det;
-            const {number} v0 = (m00 * g0 + m01 * g1 + m02 * g2) * inverse / 2;
-            const {number} v1 = (m01 * g0 + m11 * g1 + m12 * g2) * inverse / 2;
-            const {number} v2 = (m02 * g0 + m12 * g1 + m22 * g2) * inverse / 2;
-            const int good = (g0 * g0 + g1 * g1 + g2 * g2 <= limit * limit * size2[l]) & (h00 > 0) & (m22 > 0)
-                & (det > {number}({NO_ROTATION}) * h00 * h11 * h22);
-            r.data[0][l] = d00; r.data[1][l] = d10; r.data[2][l] = d20;
-            r.data[3][l] = d01; r.data[4][l] = d11; r.data[5][l] = d21;
-            r.data[6][l] = d02; r.data[7][l] = d12; r.data[8][l] = d22;
-            r.data[9][l] = m00 * inverse; r.data[10][l] = m01 * inverse; r.data[11][l] = m02 * inverse;
-            r.data[12][l] = m11 * inverse; r.data[13][l] = m12 * inverse; r.data[14][l] = m22 * inverse;
-            r.data[15][l] = good ? {number}(1) : {number}(0);
-            const {number} nw = w - x * v0 - y * v1 - z * v2, nx = x + w * v0 + y * v2 - z * v1;
-            const {number} ny = y + w * v1 + z * v0 - x * v2, nz = z + w * v2 + x * v1 - y * v0;
-            const {number} shrink = 1 / wp::sqrt(nw * nw + nx * nx + ny * ny + nz * nz);
-            q[0][l] = nw * shrink; q[1][l] = nx * shrink; q[2][l] = ny * shrink; q[3][l] = nz * shrink;
-        }}
-        settled = 0;
-        {each} settled += r.data[15][l] > 0;"""
+            const V g0 = c21 - c12 + t21 - t12, g1 = c02 - c20 + t02 - t20, g2 = c10 - c01 + t10 - t01;
+            const V h00 = b11 + b22, h11 = b00 + b22, h22 = b00 + b11;
+            const V h01 = (f01 + t01 + f10 + t10) / -2, h02 = (f02 + t02 + f20 + t20) / -2;
+            const V h12 = (f12 + t12 + f21 + t21) / -2;
+            const V m00 = h11 * h22 - h12 * h12, m01 = h02 * h12 - h01 * h22, m02 = h01 * h12 - h02 * h11;
+            const V m11 = h00 * h22 - h02 * h02, m12 = h01 * h02 - h00 * h12, m22 = h00 * h11 - h01 * h01;
+            const V det = h00 * m00 + h01 * m01 + h02 * m02;
+            const V inverse = 1 / det;
+            const V v0 = (m00 * g0 + m01 * g1 + m02 * g2) * inverse / 2;
+            const V v1 = (m01 * g0 + m11 * g1 + m12 * g2) * inverse / 2;
+            const V v2 = (m02 * g0 + m12 * g1 + m22 * g2) * inverse / 2;
+            const Int good = (g0 * g0 + g1 * g1 + g2 * g2 <= limit * limit * size2) & (h00 > 0) & (m22 > 0)
+                & (det > (V){number}({NO_ROTATION}) * h00 * h11 * h22);
+            {of("r", 0)} = d00; {of("r", 1)} = d10; {of("r", 2)} = d20;
+            {of("r", 3)} = d01; {of("r", 4)} = d11; {of("r", 5)} = d21;
+            {of("r", 6)} = d02; {of("r", 7)} = d12; {of("r", 8)} = d22;
+            {of("r", 9)} = m00 * inverse; {of("r", 10)} = m01 * inverse; {of("r", 11)} = m02 * inverse;
+            {of("r", 12)} = m11 * inverse; {of("r", 13)} = m12 * inverse; {of("r", 14)} = m22 * inverse;
+            {of("r", 15)} = good ? (V)1 : (V)0;
+            settled = {c.all("good")};
+            const V nw = w - x * v0 - y * v1 - z * v2, nx = x + w * v0 + y * v2 - z * v1;
+            const V ny = y + w * v1 + z * v0 - x * v2, nz = z + w * v2 + x * v1 - y * v0;
+            const V shrink = 1 / {c.root("nw * nw + nx * nx + ny * ny + nz * nz")};
+            q[0] = nw * shrink; q[1] = nx * shrink; q[2] = ny * shrink; q[3] = nz * shrink;
+        }}"""
 
     @wp.func_native(
         f"""
-    {matrix_c(16)} r;
-    {number} q[4][{width}], size2[{width}], limit = {number}({accept});
-    int settled;
-    {each} {{
-        const {number} size = a.data[0][l] + a.data[3][l] + a.data[5][l];
-        size2[l] = size * size;
-        for (int k = 0; k < 9; ++k) size2[l] += c.data[k][l] * c.data[k][l];
-    }}
+    {c.declared} {matrix_c(16)} r;
+    {number} limit = {number}({accept});
+    const V size = {of("a", 0)} + {of("a", 3)} + {of("a", 5)};
+    V q[4], size2 = size * size;
+    for (int k = 0; k < 9; ++k) size2 += {of("c", "k")} * {of("c", "k")};
+    bool settled;
     {evaluation(rest_b)}
-    for (int step = 1; step < {NEWTON_STEPS} && settled < {width}; ++step) {{
+    for (int step = 1; step < {NEWTON_STEPS} && !settled; ++step) {{
         if (step + 1 == {NEWTON_STEPS}) limit *= 100;
         {evaluation(turned_b)}
     }}
@@ -228,14 +229,14 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
             return settle(turned, a_qq, change_t)
 
     @wp.func_native(
-        f"{matrix_c(square_count)} r; for (int k = 0; k < {square_count}; ++k) {each} r.data[k][l] = t.data[k][l];"
-        " return r;"
+        f"{c.declared} {matrix_c(square_count)} r; for (int k = 0; k < {square_count}; ++k)"
+        f" {of('r', 'k')} = {of('t', 'k')}; return r;"
     )
     def turned_part(t: turns.rows) -> squares.rows: ...
 
     @wp.func_native(
-        f"{matrix_c(compliance_count)} r; for (int k = 0; k < {compliance_count}; ++k)"
-        f" {each} r.data[k][l] = t.data[k + {square_count}][l]; return r;"
+        f"{c.declared} {matrix_c(compliance_count)} r; for (int k = 0; k < {compliance_count}; ++k)"
+        f" {of('r', 'k')} = {of('t', f'k + {square_count}')}; return r;"
     )
     def compliance_part(t: turns.rows) -> compliances.rows: ...
 
@@ -286,8 +287,9 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
     turn_change = turn_change_2d if dim == 2 else turn_change_3d
 
     @wp.func_native(
-        f"{matrix_c(terms * dim)} r; for (int k = 0; k < {terms * dim}; ++k) {each}"
-        f" r.data[k][l] = b.c[l] * a.data[k][l] + (k < {square_count} ? s.c[l] * t.data[k][l] : {number}(0)); return r;"
+        f"{c.declared} {matrix_c(terms * dim)} r; for (int k = 0; k < {terms * dim}; ++k) {of('r', 'k')} ="
+        f" {c.at('b.c[0]')} * {of('a', 'k')} + (k < {square_count} ? {c.at('s.c[0]')} * {of('t', 'k')} : (V)0);"
+        " return r;"
     )
     def mixed(a: transforms.rows, b: lane, t: squares.rows, s: lane) -> transforms.rows:
         """b a + s [t, 0]."""

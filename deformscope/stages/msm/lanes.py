@@ -2,8 +2,9 @@
 
 A lane is a cell of the lattice or a candidate; the kernels do not care which. `LANES` fill a vector of the CPU, whose
 compiler does not vectorize scalar kernels; width 1 is a plain number, for a GPU and for lists of indices. `Rows` are
-small matrices of lanes, row by row. The loops of the native functions have no branches and run over the lanes
-innermost, which compilers vectorize; they do not vectorize warp's own operators on matrices.
+small matrices of lanes, row by row. The native functions compute with whole vectors (`VectorC`), or in loops without
+branches over the lanes, which compilers vectorize if they are short; they do not vectorize warp's own operators on
+matrices.
 
 Results depend on the width in their last digits: all lanes take as many of Newton's steps for their rotation as the
 slowest one, and a static state's sums over particles are lane by lane."""
@@ -11,6 +12,7 @@ slowest one, and a static state's sums over particles are lane by lane."""
 import functools
 import os
 import platform
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
@@ -56,6 +58,36 @@ def module_options(scalar: Any) -> dict[str, Any]:
     }
 
 
+@dataclass(frozen=True)
+class VectorC:
+    """C++ text for lanes as one value of a type V; on a GPU, where a lane stands alone, a plain number.
+
+    width: lanes; scalar: wp.float32 or wp.float64"""
+
+    width: int
+    scalar: Any
+
+    @property
+    def declared(self) -> str:
+        """Types: V, Int of its size (results of comparisons); PLACES: each lane's index."""
+        number = f"wp::{self.scalar.__name__}"
+        if self.width == 1:
+            return f"typedef {number} V; typedef int Int; const Int PLACES = 0;"
+        shape = f"__attribute__((ext_vector_type({self.width}), aligned(alignof({number})), may_alias))"
+        places = ", ".join(str(l) for l in range(self.width))
+        return f"typedef {number} V {shape}; typedef decltype(V() < V()) Int; const Int PLACES = {{{places}}};"
+
+    def at(self, place: str) -> str:
+        """The lanes from a number on."""
+        return place if self.width == 1 else f"(*(V*)&{place})"
+
+    def all(self, mask: str) -> str:
+        return mask if self.width == 1 else f"(__builtin_reduce_and({mask}) != 0)"
+
+    def root(self, value: str) -> str:
+        return f"wp::sqrt({value})" if self.width == 1 else f"__builtin_elementwise_sqrt({value})"
+
+
 @functools.cache
 def lanes_for(width: int, scalar: Any) -> SimpleNamespace:
     """Lanes of `width` numbers of type `scalar` (wp.float32 or wp.float64)."""
@@ -63,14 +95,14 @@ def lanes_for(width: int, scalar: Any) -> SimpleNamespace:
     lane = wp.types.vector(length=width, dtype=scalar)
     vec = f"wp::vec_t<{width}, wp::{scalar.__name__}>"
     each = f"for (int l = 0; l < {width}; ++l)"
+    c = VectorC(width, scalar)
+    r = f"{c.declared} {vec} r; {c.at('r.c[0]')}"
 
-    @wp.func_native(
-        f"{vec} r; if (step == 0) {{ {each} r.c[l] = a.data[i]; }} else {{ {each} r.c[l] = a.data[i + l]; }} return r;"
-    )
+    @wp.func_native(f"{r} = step == 0 ? (V)a.data[i] : {c.at('a.data[i]')}; return r;")
     def own(a: numbers, i: int, step: int) -> lane:
         """Each lane's own number, or with step 0 the one that all share."""
 
-    @wp.func_native(f"{vec} r; {each} r.c[l] = a.c[l] * b.c[l]; return r;")
+    @wp.func_native(f"{r} = {c.at('a.c[0]')} * {c.at('b.c[0]')}; return r;")
     def times(a: lane, b: lane) -> lane: ...
 
     @wp.func_native(f"wp::{scalar.__name__} r = a.c[0]; {each} r = a.c[l] < r ? a.c[l] : r; return r;")
@@ -93,45 +125,43 @@ def rows_for(count: int, width: int, scalar: Any) -> SimpleNamespace:
     vec = f"wp::vec_t<{width}, wp::{scalar.__name__}>"
     mat = f"wp::mat_t<{count}, {width}, wp::{scalar.__name__}>"
     sized = Sized(f"{count}x{width}")
-    each = f"for (int k = 0; k < {count}; ++k) for (int l = 0; l < {width}; ++l)"
+    c = VectorC(width, scalar)
+    each = f"for (int k = 0; k < {count}; ++k)"
+    stored, one, of_m, of_n = c.at("a.data[i + k * stride]"), c.at("v.c[0]"), c.at("m.data[k][0]"), c.at("n.data[k][0]")
+    of_v = c.at("v.data[k][0]")
+    r = f"{c.declared} {mat} r; {each} {c.at('r.data[k][0]')}"
 
-    @sized.func_native(f"{mat} r; {each} r.data[k][l] = a.data[i + k * stride + l]; return r;")
+    @sized.func_native(f"{r} = {stored}; return r;")
     def load(a: numbers, i: int, stride: int) -> rows: ...
 
     @sized.func_native(
-        f"if (count >= {width}) {{ {each} a.data[i + k * stride + l] = v.data[k][l]; }} else {{"
-        f" for (int k = 0; k < {count}; ++k) for (int l = 0; l < count; ++l)"
-        " a.data[i + k * stride + l] = v.data[k][l]; }"
+        f"{c.declared} if (count >= {width}) {{ {each} {stored} = {of_v}; }}"
+        f" else {{ {each} {stored} = PLACES < (Int)count ? {of_v} : {stored}; }}"
     )
-    def store(a: numbers, i: int, stride: int, v: rows, count: int): ...
+    def store(a: numbers, i: int, stride: int, v: rows, count: int):
+        """Beyond `count` lanes the array is written as it was: no other thread writes there on a CPU."""
 
-    @sized.func_native(
-        f"{mat} r; if (step == 0) {{ {each} r.data[k][l] = a.data[i + k * stride]; }}"
-        f" else {{ {each} r.data[k][l] = a.data[i + k * stride + l]; }} return r;"
-    )
+    @sized.func_native(f"{r} = step == 0 ? (V)a.data[i + k * stride] : {stored}; return r;")
     def own(a: numbers, i: int, stride: int, step: int) -> rows:
         """Each lane's own numbers, or with step 0 those that all share."""
 
-    @sized.func_native(f"{vec} r; for (int l = 0; l < {width}; ++l) r.c[l] = m.data[k][l]; return r;")
+    @sized.func_native(f"{c.declared} {vec} r; {c.at('r.c[0]')} = {of_m}; return r;")
     def row(m: rows, k: int) -> lane: ...
 
-    @sized.func_native(f"{mat} r = m; for (int l = 0; l < {width}; ++l) r.data[k][l] = v.c[l]; return r;")
+    @sized.func_native(f"{c.declared} {mat} r = m; {c.at('r.data[k][0]')} = {one}; return r;")
     def with_row(m: rows, k: int, v: lane) -> rows: ...
 
-    @sized.func_native(f"{mat} r; {each} r.data[k][l] = m.data[k][l] + f * n.data[k][l]; return r;")
+    @sized.func_native(f"{r} = {of_m} + (V)f * {of_n}; return r;")
     def add(m: rows, f: scalar, n: rows) -> rows:
         """m + f n."""
 
-    @sized.func_native(f"{mat} r; {each} r.data[k][l] = m.data[k][l] * v.c[l]; return r;")
+    @sized.func_native(f"{r} = {of_m} * {one}; return r;")
     def scale(m: rows, v: lane) -> rows:
         """Each lane of m times that of v."""
 
-    @sized.func_native(
-        f"{mat} r; {each} {{ const wp::{scalar.__name__} v = m.data[k][l]; r.data[k][l] = when.c[l] > 0 ? v : 0; }}"
-        " return r;"
-    )
+    @sized.func_native(f"{r} = {c.at('when.c[0]')} > (V)0 ? {of_m} : (V)0; return r;")
     def choose(when: lane, m: rows) -> rows:
-        """m where `when` is positive, else 0 (for any m there). All of m is read: compilers vectorize that alone."""
+        """m where `when` is positive, else 0 (for any m there)."""
 
     moving = {"load": load, "store": store, "own": own, "row": row, "with_row": with_row}
     return SimpleNamespace(rows=rows, add=add, scale=scale, choose=choose, **moving)
@@ -145,12 +175,13 @@ def product_for(p: int, q: int, r: int, width: int, scalar: Any) -> Any:
     result = wp.types.matrix(shape=(p * r, width), dtype=scalar)
     sized = Sized(f"{p}x{q}x{r}x{width}")
 
-    terms = " + ".join(f"a.data[i * {q} + {k}][l] * b.data[{k * r} + j][l]" for k in range(q))
+    c = VectorC(width, scalar)
+    terms = " + ".join(c.at(f"a.data[i * {q} + {k}][0]") + " * " + c.at(f"b.data[{k * r} + j][0]") for k in range(q))
 
     @sized.func_native(
-        f"wp::mat_t<{p * r}, {width}, wp::{scalar.__name__}> c;"
-        f" for (int i = 0; i < {p}; ++i) for (int j = 0; j < {r}; ++j) for (int l = 0; l < {width}; ++l)"
-        f" c.data[i * {r} + j][l] = {terms}; return c;"
+        f"{c.declared} wp::mat_t<{p * r}, {width}, wp::{scalar.__name__}> m;"
+        f" for (int i = 0; i < {p}; ++i) for (int j = 0; j < {r}; ++j)"
+        f" {c.at(f'm.data[i * {r} + j][0]')} = {terms}; return m;"
     )
     def product(a: left, b: right) -> result: ...
 

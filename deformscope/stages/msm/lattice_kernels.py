@@ -17,7 +17,7 @@ from typing import Any
 import warp as wp
 
 from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
-from deformscope.stages.msm.lanes import Ints, lanes_for, product_for, rows_for
+from deformscope.stages.msm.lanes import Ints, VectorC, lanes_for, product_for, rows_for
 from deformscope.stages.msm.members import kernel_in, members
 
 WHOLE = 27
@@ -375,33 +375,34 @@ def map_functions_for(helpers: PassHelpers) -> SimpleNamespace:
     dim, width, numbers, lanes = helpers.dim, helpers.width, helpers.numbers, helpers.lanes
     vecs, maps = helpers.vecs, helpers.maps
     Grid, Site, lane, own = helpers.types.Grid, helpers.types.Site, lanes.lane, lanes.own
-    number = f"wp::{helpers.scalar.__name__}"
-    each = f"for (int l = 0; l < {width}; ++l)"
-    moved = " + ".join(f"mean.data[{a}][l] * slopes.data[{a * dim} + i][l]" for a in range(dim))
+    c = VectorC(width, helpers.scalar)
+    each = f"for (int i = 0; i < {dim}; ++i)"
+    valid_c, total_i = f"{c.at('valid.c[0]')} > (V)0", c.at("total.data[i][0]")
+    place, mean_a = f"[a * {dim} + i][0]", c.at("mean.data[a][0]")
+    moved = " + ".join(c.at(f"mean.data[{a}][0]") + " * " + c.at(f"slopes.data[{a * dim} + i][0]") for a in range(dim))
 
-    def matrix_c(rows: int) -> str:
-        return f"wp::mat_t<{rows}, {width}, {number}>"
+    def result_c(rows: int) -> str:
+        return f"{c.declared} wp::mat_t<{rows}, {width}, wp::{helpers.scalar.__name__}> r;"
 
     @wp.func_native(
-        f"{matrix_c(dim * dim)} r; for (int a = 0; a < {dim}; ++a) for (int i = 0; i < {dim}; ++i) {each}"
-        f" r.data[a * {dim} + i][l] = valid.c[l] > 0 ? moments.data[a * {dim} + i][l]"
-        f" - mean.data[a][l] * total.data[i][l] : {number}(0); return r;"
+        f"{result_c(dim * dim)} for (int a = 0; a < {dim}; ++a) {each}"
+        f" {c.at('r.data' + place)} = {valid_c} ? {c.at('moments.data' + place)} - {mean_a} * {total_i} : (V)0;"
+        " return r;"
     )
     def centred(moments: maps.rows, mean: vecs.rows, total: vecs.rows, valid: lane) -> maps.rows:
         """First moments about the centre of mass; 0 where there is no cluster."""
 
     @wp.func_native(
-        f"{matrix_c(dim)} r; for (int i = 0; i < {dim}; ++i) {each} r.data[i][l] = valid.c[l] > 0"
-        f" ? share.c[l] * total.data[i][l] - ({moved}) : {number}(0); return r;"
+        f"{result_c(dim)} {each} {c.at('r.data[i][0]')} ="
+        f" {valid_c} ? {c.at('share.c[0]')} * {total_i} - ({moved}) : (V)0; return r;"
     )
     def shift_of(total: vecs.rows, share: lane, mean: vecs.rows, slopes: maps.rows, valid: lane) -> vecs.rows:
         """Goal displacement at the middle of the window."""
 
+    parts = [(f"r.data[{k * dim} + i][0]", f"{name}.data[i][0]") for k, name in enumerate("abc"[:dim])]
+
     @wp.func_native(
-        f"{matrix_c(dim * dim)} r; for (int i = 0; i < {dim}; ++i) {each} {{ r.data[i][l] = a.data[i][l];"
-        f" r.data[{dim} + i][l] = b.data[i][l];"
-        + (f" r.data[{2 * dim} + i][l] = c.data[i][l];" if dim == 3 else "")
-        + " } return r;"
+        f"{result_c(dim * dim)} {each} {{ {' '.join(f'{c.at(to)} = {c.at(of)};' for to, of in parts)} }} return r;"
     )
     def stacked(a: vecs.rows, b: vecs.rows, c: vecs.rows) -> maps.rows: ...
 
