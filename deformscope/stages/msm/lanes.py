@@ -60,7 +60,7 @@ def module_options(scalar: Any) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class VectorC:
-    """C++ text for lanes as one value of a type V; on a GPU, where a lane stands alone, a plain number.
+    """C++ text for lanes as one value of a type V; on a GPU, where a lane is alone, a plain number.
 
     width: lanes; scalar: wp.float32 or wp.float64"""
 
@@ -139,7 +139,7 @@ def rows_for(count: int, width: int, scalar: Any) -> SimpleNamespace:
         f" else {{ {each} {stored} = PLACES < (Int)count ? {of_v} : {stored}; }}"
     )
     def store(a: numbers, i: int, stride: int, v: rows, count: int):
-        """Beyond `count` lanes the array is written as it was: no other thread writes there on a CPU."""
+        """Beyond `count` lanes the array keeps its values (on a CPU no other thread writes there meanwhile)."""
 
     @sized.func_native(f"{r} = step == 0 ? (V)a.data[i + k * stride] : {stored}; return r;")
     def own(a: numbers, i: int, stride: int, step: int) -> rows:
