@@ -7,6 +7,7 @@ To add a command: a frozen dataclass of its flags in `deformscope/config/`, a fi
 in `COMMANDS`. `run` imports heavy modules inside, and returns an exit status if it is not always 0.
 """
 
+import atexit
 import contextlib
 import gc
 import importlib
@@ -133,6 +134,9 @@ EXIT_SIGNALLED = 128
 """Exit status of a command that a signal ended: this plus the signal's number."""
 COLLECT = (50_000, 20, 50)
 """Python's garbage collector looks at young objects less often than by default: a fifteenth of an exploration."""
+FIRST = (400_000, *COLLECT[1:])
+"""The same before its first look: modules take some 250 000 objects, which stay."""
+atexit.register(gc.freeze)  # a last look through every object, which the system frees anyway, takes half a second
 
 PACKAGES = {
     "libusb-1.0": "libusb-1.0-0",
@@ -156,10 +160,16 @@ def main(args: Sequence[str] | None = None) -> int:
     return guarded(_dispatch, list(sys.argv[1:] if args is None else args))
 
 
+def _collect(phase: str, found: object) -> None:
+    gc.callbacks.remove(_collect)
+    gc.set_threshold(*COLLECT)
+
+
 def guarded(dispatch: Callable[[list[str]], int], args: list[str]) -> int:
     """The exit status of a dispatcher of command lines, as in `main`."""
     show_remarks()
-    gc.set_threshold(*COLLECT)
+    gc.set_threshold(*FIRST)
+    gc.callbacks.append(_collect)
     with _ended_by_signals() as signals:
         status = _status(dispatch, args, signals)
         if "deformscope.page.server.page_server" in sys.modules and status < EXIT_SIGNALLED:

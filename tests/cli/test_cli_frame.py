@@ -134,6 +134,13 @@ def test_version(capsys: Capture) -> None:
     assert re.fullmatch(r"deformscope \d+\.\d+\.\d+\n", capsys.readouterr().out)
 
 
+def test_the_end_of_a_command_searches_no_objects() -> None:
+    searches = "gc.callbacks.append(lambda when, found: print(when, len(gc.get_objects()) < 1000))"
+    run = run_python("-c", f"import gc; from deformscope import cli; cli.main(['--version']); {searches}")
+    assert set(run.stdout.splitlines()[1:]) <= {"start True", "stop True"}, run.stdout
+    assert not run.stderr
+
+
 def test_runs_as_a_module() -> None:
     shown = run_python("-m", "deformscope", "--version")
     assert (shown.returncode, shown.stderr) == (0, "")
