@@ -20,11 +20,12 @@ such displacements on r is a few vectors, whose factors are integrated out. Whic
 are, is another choice."""
 
 import dataclasses
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from scipy.linalg import block_diag, eigh
+from scipy.linalg import eigh, lapack
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
@@ -74,8 +75,9 @@ SCALE_SPREAD = 1.0
 SCALE_SETTLED = 1e-9
 """A step of the scale's logarithm shorter than this is the last."""
 
-SCALE_ROUNDS = 6
-"""Rounds of finding the noise's scale: the residuals without errors of tool and camera depend on it."""
+SCALE_ROUNDS = 4
+"""Rounds of finding the noise's scale: the residuals without errors of tool and camera depend on it. Each leaves a
+seventh of the error in its logarithm, these 0.002 at most."""
 
 OFFS = tuple(
     ((scale, camera, shift, other), weight * share)
@@ -96,9 +98,6 @@ NEIGHBOURS = 1.2
 
 TELLS_APART = 1e-13
 """Share of the largest part of residuals below which a part is a rounding error."""
-
-PRODUCTS_AT_ONCE = 2_000_000
-"""Most numbers that are computed at once for the sizes of a field."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +173,8 @@ class Products:
 
 @dataclass(frozen=True, slots=True)
 class _Basis:
-    """Eigenvectors of one field in units of the noise: rotate (N, N) whitens (e, e_held); moment (N,)."""
+    """Eigenvectors of one field in units of the noise: rotate (N, N) whitens e, or (e, e_held) if prescribed positions
+    have the field too; moment (N,)."""
 
     rotate: FloatArray
     moment: FloatArray
@@ -204,6 +204,8 @@ class ErrorModel:
                 held_noise = np.full(len(held_noise), EXACT * noise.mean())
             held_noise = np.where(measured.loose, LOOSE * measured.spacing, held_noise)
         self.noise, self.held_noise = noise, held_noise
+        self.held_variance = np.ones(1) if measured.held_rest is None else np.repeat(held_noise**2, d)
+        """(m,) of each direction of a response by white noise, (1,) = the same for all."""
         self.log_noise = float(d * np.log(noise).sum())
         self.hypotheses = self._enumerate(unknown)
         self.log_scale: FloatArray = np.zeros(len(self.hypotheses.size))
@@ -252,17 +254,24 @@ class ErrorModel:
         by_camera = seen[:n] - through(seen[n:]) if held else seen[:n]
         return np.concatenate([by_camera, by_tool], axis=-1)
 
+    def _groups(self, rows: IntArray) -> Iterator[tuple[Field, IntArray]]:
+        """Each smooth field of the hypotheses at rows (h,), and the places of its own among them."""
+        every = self.hypotheses
+        parts = np.stack([every.field[rows], every.length[rows], every.held[rows], every.shared[rows]])
+        kinds, kind = np.unique(np.array([1e3, 1.0, 1e5, 2e5]) @ parts, return_inverse=True)
+        for one in range(len(kinds)):
+            places = np.flatnonzero(kind == one)
+            field, length, held, shared = parts[:, places[0]]
+            yield (int(field), float(length), bool(held), bool(shared)), places
+
     def _basis(self, key: Field) -> _Basis:
+        which, length, held, shared = key
+        held = held and shared and self.measured.held_rest is not None
+        key = (which, length, held, shared)
         if key in self._bases:
             return self._bases[key]
-        which, length, held, shared = key
         place, noise = self.measured.rest, self.noise
-        if held and not shared:  # the free particles' own, and white noise of the prescribed ones
-            free = self._basis((which, length, False, False))
-            rotate = block_diag(free.rotate, np.diag(1.0 / self.held_noise))
-            found = _Basis(rotate, np.concatenate([free.moment, np.zeros(len(self.held_noise))]))
-            return self._bases.setdefault(key, found)
-        if shared and held and self.measured.held_rest is not None:
+        if held and self.measured.held_rest is not None:
             place = np.concatenate([place, self.measured.held_rest])
             noise = np.concatenate([noise, self.held_noise])
         field = correlation(CORRELATIONS[which], cdist(place, place) / (self.measured.spacing * length))
@@ -289,29 +298,26 @@ class ErrorModel:
         rows = np.arange(len(every.size)) if chosen is None else chosen
         product = np.empty((len(rows), len(residual), len(residual)))
         log_det = np.empty(len(rows))
-        groups: dict[Field, list[int]] = {}
-        for at, row in enumerate(rows):
-            key = (int(every.field[row]), float(every.length[row]), bool(every.held[row]), bool(every.shared[row]))
-            groups.setdefault(key, []).append(at)
         r = len(residual)
         white = (residual / self.noise[:, None]).reshape(len(residual), -1)
         modes = {held: np.moveaxis(self.modes(response, held=held), -1, 0) for held in (False, True)}
         count = residual.shape[1] * self.dim
-        for key, places in groups.items():
+        for key, places in self._groups(rows):
             both = np.concatenate([residual, modes[key[2]]])
             sizes, which = np.unique(every.size[rows[places]], return_inverse=True)
             found, log_det[places] = (one[which] for one in self._quadratic(both, response, key, sizes))
             off = self.deviations(every.off[rows[places]], len(both) - r)
-            across, between = found[:, :r, r:] * off[:, None], off[:, :, None] * found[:, r:, r:] * off[:, None]
+            off = off.T  # hypotheses last: each step of `_by_modes` takes all of them at once
+            across = np.ascontiguousarray(found[:, r:, :r].transpose(1, 2, 0)) * off[:, None]
+            between = np.ascontiguousarray(found[:, r:, r:].transpose(1, 2, 0)) * off[:, None] * off
             if settle:
                 exact = self._trusted(float(np.sum(white**2, axis=1).min()) / count)
-                alone = np.einsum("hii->hi", found[:, :r, :r])
+                alone = np.einsum("hii->ih", found[:, :r, :r])
                 self.log_scale[rows[places]] = 0.0 if exact else self._settled(alone, across, between, count)
-            variance = np.exp(-2.0 * self.log_scale[rows[places]])[:, None, None]
-            inner = variance * between + np.eye(len(both) - r)
-            by_modes = np.linalg.solve(inner, variance * across.transpose(0, 2, 1))
-            product[places] = found[:, :r, :r] - across @ by_modes
-            log_det[places] += np.linalg.slogdet(inner)[1]
+            taken, log_modes = _by_modes(across, between, self.log_scale[rows[places]])
+            taken = np.ascontiguousarray(taken.transpose(2, 0, 1))
+            product[places] = found[:, :r, :r] - taken.transpose(0, 2, 1) @ taken
+            log_det[places] += log_modes
         return Products(rows, product, log_det + 2.0 * self.log_noise, white @ white.T, count)
 
     def deviations(self, off: FloatArray, count: int) -> FloatArray:
@@ -324,19 +330,16 @@ class ErrorModel:
         """Logarithm (h,) of the noise's scale by the best of some residuals, of what tool and camera leave of it, which
         depends on the scale.
 
-        alone: (h, r) chi2 without tool and camera; across, between: (h, r, q), (h, q, q) products with their effects"""
-        left, log_scale = alone, np.zeros(len(alone))
+        alone: (r, h) chi2 without tool and camera; across, between: (q, r, h), (q, q, h) products with their effects"""
+        left, log_scale = alone, np.zeros(alone.shape[1])
         for again in range(SCALE_ROUNDS):
-            least = np.maximum(left.min(axis=1), 0.0)
+            least = np.maximum(left.min(axis=0), 0.0)
             log_scale = 0.5 * np.log(least / count + self._least**2)
             if again < SCALE_ROUNDS - 1:
-                variance = np.exp(-2.0 * log_scale)[:, None, None]
-                inner = variance * between + np.eye(between.shape[1])
-                by_modes = np.linalg.solve(inner, variance * across.transpose(0, 2, 1))
-                left = alone - np.einsum("hrq,hqr->hr", across, by_modes)
+                left = alone - np.sum(_by_modes(across, between, log_scale)[0] ** 2, axis=0)
                 if not again:  # the same residual stays the best
-                    best = left.argmin(axis=1)[:, None]
-                    alone, across = np.take_along_axis(alone, best, 1), np.take_along_axis(across, best[..., None], 1)
+                    best = left.argmin(axis=0)[None]
+                    alone, across = np.take_along_axis(alone, best, 0), np.take_along_axis(across, best[None], 1)
         return log_scale
 
     def judged(self, found: Products, mix: FloatArray) -> Evidence:
@@ -365,29 +368,28 @@ class ErrorModel:
         total = len(basis.moment)
         own = np.tensordot(basis.rotate[:, :n], residual, (1, 1)).transpose(0, 2, 1).reshape(total * d, r)
         weight = np.repeat(1.0 / spread, d, axis=1)
-        if not held:
+        if not held or not m:
             return (own.T * weight[:, None]) @ own, log_det
         act = np.tensordot(basis.rotate[:, :n], response, (1, 0))  # (N, d, m)
-        log_held = 0.0
-        if self.measured.held_rest is None:  # m combinations of unit noise, no places of their own
-            own, act = np.concatenate([own, np.zeros((m, r))]), np.concatenate([act.reshape(total * d, m), np.eye(m)])
-            weight = np.concatenate([weight, np.ones((len(sizes), m))], axis=1)
+        white = np.zeros((m, m))
+        if total == n:
+            white = np.eye(m) / self.held_variance
         else:
-            k = total - n
-            direct = np.zeros((total, d, k, d))
+            direct = act.reshape(total, d, total - n, d)
             for axis in range(d):
-                direct[:, axis, :, axis] = basis.rotate[:, n:]
-            act = (act + direct.reshape(total, d, m)).reshape(total * d, m)
-            log_held = 2.0 * d * float(np.log(self.held_noise).sum())
-        both = np.concatenate([act, own], axis=1)
+                direct[:, axis, :, axis] += basis.rotate[:, n:]
+        log_held = 2.0 * d * float(np.log(self.held_noise).sum())
+        both = np.concatenate([act.reshape(total * d, m), own], axis=1)
         found = np.empty((len(sizes), r, r))
-        together = max(1, PRODUCTS_AT_ONCE // (both.size + (m + r) ** 2))
-        for first in range(0, len(sizes), together):
-            some = slice(first, first + together)
-            square = (both.T * weight[some, None]) @ both  # (f, m + r, m + r)
-            normal, right = square[:, :m, :m], square[:, :m, m:]
-            found[some] = square[:, m:, m:] - right.transpose(0, 2, 1) @ np.linalg.solve(normal, right)
-            log_det[some] += np.linalg.slogdet(normal)[1] + log_held
+        for at, each in enumerate(weight):
+            square = (both.T * each) @ both  # (m + r, m + r)
+            normal, right = square[:m, :m] + white, square[:m, m:]
+            factor, by_held, failed = lapack.dposv(normal, right)
+            size = np.abs(np.diag(factor))
+            if failed:  # as good as singular
+                by_held, size = np.linalg.lstsq(normal, right)[0], np.sqrt(np.abs(np.linalg.eigvalsh(normal)))
+            found[at] = square[m:, m:] - right.T @ by_held
+            log_det[at] += 2.0 * float(np.log(size).sum()) + log_held
         return found, log_det
 
     def projected(self, onto: FloatArray, response: FloatArray, chosen: IntArray, amplitude: FloatArray) -> FloatArray:
@@ -399,19 +401,19 @@ class ErrorModel:
         flat, either = onto.reshape(n * d, q), (False, True)
         modes = {held: self.modes(response, held=held).reshape(n * d, -1).T @ flat for held in either}
         found = np.empty((len(chosen), q, q))
-        for at, row in enumerate(chosen):
-            held = bool(every.held[row])
-            basis = self._basis((int(every.field[row]), float(every.length[row]), held, bool(every.shared[row])))
-            variance, parts = self.noise[:, None, None] ** 2, [onto]
-            if held and self.measured.held_rest is not None:
-                variance = np.concatenate([variance, self.held_noise[:, None, None] ** 2])
-                parts.append(-through.reshape(-1, d, q))
-            turned = np.tensordot(basis.rotate, np.concatenate(parts) * variance, 1)
-            spread = 1.0 + every.size[row] * basis.moment
-            found[at] = np.einsum("n,ndi,ndj->ij", spread, turned, turned)
-            if held and self.measured.held_rest is None:
-                found[at] += through.T @ through
-            found[at] += modes[held].T @ amplitude @ modes[held] * np.exp(-2.0 * self.log_scale[row])
+        for key, places in self._groups(chosen):
+            basis, held = self._basis(key), key[2]
+            parts = [onto * self.noise[:, None, None] ** 2]
+            if len(basis.moment) > n:
+                parts.append(-(through * self.held_variance[:, None]).reshape(-1, d, q))
+            turned = np.tensordot(basis.rotate, np.concatenate(parts), 1)
+            each = (turned.transpose(0, 2, 1) @ turned).reshape(-1, q * q)
+            rows = chosen[places]
+            found[places] = (each.sum(axis=0) + every.size[rows, None] * (basis.moment @ each)).reshape(-1, q, q)
+            if held and len(basis.moment) == n:
+                found[places] += (through.T * self.held_variance) @ through
+            by_modes = modes[held].T @ amplitude @ modes[held]
+            found[places] += by_modes * np.exp(-2.0 * self.log_scale[rows])[:, None, None]
         return found
 
     @property
@@ -446,6 +448,22 @@ class ErrorModel:
         if pull:
             value -= np.log1p(-level / (np.sqrt(2.0 * np.pi) * SCALE_SPREAD))
         return Evidence(value + log_prior, t, bend**-0.5)
+
+
+def _by_modes(across: FloatArray, between: FloatArray, log_scale: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Parts (q, r, h) whose squares sum to what tool and camera explain of r residuals, and the log determinant (h,) of
+    1 + between, in units of the noise's scale; all hypotheses at once in each step of the factorisation.
+
+    across, between: (q, r, h), (q, q, h) products with their effects; log_scale: (h,)"""
+    parts, log_det = np.empty(across.shape), np.zeros(len(log_scale))
+    inner = np.exp(-2.0 * log_scale) * between + np.eye(len(between))[..., None]
+    left = np.exp(-log_scale) * across
+    for at in range(len(between)):
+        log_det += np.log(inner[0, 0])
+        size = np.sqrt(inner[0, 0])
+        column, parts[at] = inner[1:, 0] / size, left[0] / size
+        inner, left = inner[1:, 1:] - column[:, None] * column, left[1:] - column[:, None] * parts[at]
+    return parts, log_det
 
 
 def few(residual: FloatArray, mix: FloatArray) -> tuple[FloatArray, FloatArray]:
