@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from deformscope.errors import printable
 
 if TYPE_CHECKING:
+    from rich.progress import Progress as Bars
     from rich.progress import TaskID
 
 Say = Callable[[str], None]
@@ -86,34 +87,37 @@ def shown_progress(progress: Progress | bool | None) -> Iterator[Progress | None
 @contextmanager
 def fit_progress() -> Iterator[Progress]:
     """A bar on stderr that names what the work is at; where stderr is no terminal, a line now and then."""
-    from rich.console import Console
-    from rich.progress import Progress as Bars
-    from rich.progress import TimeElapsedColumn
-
-    where = Console(stderr=True, highlight=False)
     said = time.monotonic()
-    columns = (*Bars.get_default_columns(), TimeElapsedColumn())
-    with Bars(*columns, console=where, transient=True, disable=not where.is_terminal) as bars:
-        began: dict[str, tuple[float, int]] = {}
-        tasks: dict[str, TaskID] = {}
+    began: dict[str, tuple[float, int]] = {}
+    tasks: dict[str, TaskID] = {}
+    with contextlib.ExitStack() as ending:
+        bars: Bars | None = None
+        if sys.stderr.isatty():  # what draws a bar is slow to import
+            from rich import console, progress
+
+            columns = (*progress.Progress.get_default_columns(), progress.TimeElapsedColumn())
+            where = console.Console(stderr=True)
+            bars = ending.enter_context(progress.Progress(*columns, console=where, transient=True))
 
         def note(what: str, done: int, total: int) -> None:
             nonlocal said
             what = printable(what)
-            if what not in tasks:
-                for earlier in tasks.values():
-                    bars.update(earlier, visible=False)
-                tasks[what] = bars.add_task(what, total=total or None)
+            if what not in began:
                 said = time.monotonic()
                 began[what] = said, done
-            bars.update(tasks[what], completed=done, total=total)
-            if not where.is_terminal and time.monotonic() - said > SAY_EVERY_S:
+            if bars is not None:
+                if what not in tasks:
+                    for earlier in tasks.values():
+                        bars.update(earlier, visible=False)
+                    tasks[what] = bars.add_task(what, total=total or None)
+                bars.update(tasks[what], completed=done, total=total)
+            elif time.monotonic() - said > SAY_EVERY_S:
                 said = time.monotonic()
                 since, first = began[what]
                 left = f" after {said - since:.0f} s"
                 if total and done > first:
                     left += f", some {(said - since) / (done - first) * (total - done):.0f} s left"
-                where.print(f"{what}: {done} of {total or 'an unknown number'}{left}", markup=False)
+                print(f"{what}: {done} of {total or 'an unknown number'}{left}", file=sys.stderr, flush=True)
 
         yield note
 

@@ -9,8 +9,6 @@ import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from deformscope.rows import FORMAT
-
 VERSIONED = ("deformscope", "rerun-sdk", "numpy", "opencv-python-headless", "warp-lang")
 
 
@@ -59,6 +57,8 @@ def machine() -> str:
 def properties(settings: Mapping[str, object], *, brief: bool) -> dict[str, object]:
     """The whole provenance, as text that any tool can read. brief: leave out what differs between two runs of one
     input"""
+    from deformscope.rows import FORMAT  # slow to import
+
     found: dict[str, object] = {"format": FORMAT, "settings": json.dumps(settings, sort_keys=True, default=str)}
     seed = settings.get("seed")
     if isinstance(seed, int):

@@ -25,8 +25,6 @@ from deformscope.recording.losses import losses_of
 from deformscope.recording.outputs import Encoder, Outputs
 from deformscope.recording.picture_encoder import DeviceEncoder, PictureEncoder
 from deformscope.recording.portions import GATHER_LIVE_S, GATHER_S, arrays_size, counted_as, item_size
-from deformscope.recording.rrd_file import RecordingFile, leave_streams_alone
-from deformscope.recording.target import RecordingTarget
 from deformscope.recording.writer import Writer
 from deformscope.session import Step
 from deformscope.stages.map.exploration import StageFailure
@@ -36,6 +34,7 @@ if TYPE_CHECKING:
 
     from deformscope.log.live_stream import LiveStream
     from deformscope.page.server.page_server import PageServer
+    from deformscope.recording.target import RecordingTarget
 
 BACKLOG_JOBS, BACKLOG_BYTES = 1 << 20, 512 << 20
 """Limit of waiting data of devices, which continue on their own clock."""
@@ -91,7 +90,11 @@ class Recorder:
         real_time: bool = False,
         whole_or_nothing: bool = False,
     ) -> None:
-        self._target = None if file is None else RecordingTarget(Path(file), overwrite=overwrite)
+        self._target: RecordingTarget | None = None
+        if file is not None:
+            from deformscope.recording import target  # slow to import, as what else writes
+
+            self._target = target.RecordingTarget(Path(file), overwrite=overwrite)
         self._viewer_kind = viewer
         self._settings = dict(settings or {})
         self._application = application
@@ -253,6 +256,8 @@ class Recorder:
             self._outputs.feed = self._opened_view(recording_id, properties)
             self._outputs.feed.start()
         if self._target is not None:
+            from deformscope.recording.rrd_file import RecordingFile
+
             self._outputs.file = RecordingFile(
                 self._application.name,
                 recording_id,
@@ -344,7 +349,9 @@ class Recorder:
         if feed is None:
             return 0
         if not feed.close(LIVE_TIMEOUT_S):
-            leave_streams_alone()
+            from deformscope.recording import rrd_file
+
+            rrd_file.leave_streams_alone()
         if self._page is not None and self._page.session.state.phase != "stopped":
             self._page.session.enter("stopped", self._stopped or "its command has ended")
         return feed.dropped

@@ -9,12 +9,9 @@ from deformscope.config import BetaConfig, ThetaConfig
 from deformscope.config.calibrate import check_arrays
 from deformscope.config.flags import Selectable
 from deformscope.errors import InputError
-from deformscope.experiments.fit.calibration_inputs import fit_options, images_of
-from deformscope.experiments.fit.poke_files import LayersOptions
+from deformscope.experiments.fit.poke_files import LayersOptions, fit_options
 from deformscope.file_io import ending_of, read_file
-from deformscope.recording.reader import Replay
 from deformscope.runs.calibration_result import CalibrationResult
-from deformscope.runs.image_calibration import calibrate_images
 from deformscope.runs.pair_calibration import arrays_bytes, calibrate_pair_bytes, recorded_pairs
 from deformscope.runs.result import Note, log_note
 from deformscope.stages.fit.search import Progress
@@ -51,6 +48,8 @@ def calibrate(
     elif given or len(sources) > 1 or Path(sources[0]).suffix.lower() != ".rrd":
         raws = []
     else:
+        from deformscope.recording.reader import Replay
+
         raws = recorded_pairs(Replay(Path(sources[0])))
     if raws and select is not None:
         raise InputError("images with --whole-motion", "pair files", "--joint fits one value to all pairs")
@@ -68,6 +67,10 @@ def calibrate(
         raise InputError("--force with the --thickness-m of images", "no --force", "--force 3N")
     if search.noise_m is not None:
         raise InputError("--noise-px for images", "--noise-m", "give the noise in pixels")
+    # what only images need
+    from deformscope.experiments.fit.calibration_inputs import images_of
+    from deformscope.runs.image_calibration import calibrate_images
+
     images = images_of(config)
     return [calibrate_images(config, images, fit, select, given, progress, note)]  # type: ignore[arg-type]
 

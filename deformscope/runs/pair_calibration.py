@@ -4,7 +4,7 @@ import dataclasses
 import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -15,8 +15,6 @@ from deformscope.files.pairs import parse_pair
 from deformscope.frames import InputFile
 from deformscope.log.layout import PAIR, PAIR_3D
 from deformscope.pictures.evidence import Result
-from deformscope.recording.reader import Replay
-from deformscope.recording.recorder import Recorder
 from deformscope.runs.calibration_result import CalibrationResult
 from deformscope.runs.result import Note, log_note, open_recorder
 from deformscope.session import run
@@ -29,6 +27,10 @@ from deformscope.stages.msm.clusters import rank
 from deformscope.stages.poke.poke_estimate import PokesResult
 from deformscope.version import __version__
 
+if TYPE_CHECKING:
+    from deformscope.recording.reader import Replay
+    from deformscope.recording.recorder import Recorder
+
 BodyT = TypeVar("BodyT", bound=Observation | Motion)
 FLAT_SURFACE = "note: a flat surface alone hardly determines beta; --thickness-m fits the material below it"
 
@@ -40,7 +42,7 @@ def arrays_bytes(**arrays: object) -> bytes:
     return file.getvalue()
 
 
-def recorded_pairs(recording: Replay) -> list[tuple[str, bytes]]:
+def recorded_pairs(recording: "Replay") -> list[tuple[str, bytes]]:
     """The pair files in a recording, by name and content."""
     return [(f"{recording.path}, pair {index}", raw) for index, raw in enumerate(recording.read_numbered("pair"))]
 
@@ -117,7 +119,7 @@ def pair_recorder(
     raws: Sequence[tuple[str, bytes]],
     settings: Mapping[str, object],
     output: OutputOptions,
-) -> Iterator[Recorder]:
+) -> "Iterator[Recorder]":
     """Records pairs, or a motion, with their unchanged files."""
     planes = {one.rest.shape[1] for one in seen}
     with open_recorder(output, settings, PAIR if planes == {2} else PAIR_3D) as recorder:

@@ -19,7 +19,7 @@ from deformscope.log.exploration.blueprint import exploration_blueprint
 from deformscope.log.exploration.results import log_exploration_start, prepare_results
 from deformscope.log.layout import PAIR, PAIR_3D
 from deformscope.log.rig import Place, log_items, log_streams, prepare_items, rig_blueprint
-from deformscope.recording import live, recorder
+from deformscope.recording import live, recorder, rrd_file
 from deformscope.recording.recorder import Recorder
 from deformscope.session import Step, run
 from deformscope.stages.map.exploration import MapEstimate
@@ -200,7 +200,7 @@ def test_a_stopped_window_costs_the_picture_alone(tmp_path: Path, monkeypatch: p
     if not LAVAPIPE.exists():
         pytest.skip("no software Vulkan driver")
     started = _headless(monkeypatch)
-    monkeypatch.setattr(recorder, "leave_streams_alone", lambda: None)  # other tests' streams end as usual
+    monkeypatch.setattr(rrd_file, "leave_streams_alone", lambda: None)  # other tests' streams end as usual
     with Recorder(tmp_path / "run.rrd", "native", {}) as made:
         (viewer,) = started
         try:

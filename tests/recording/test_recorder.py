@@ -27,7 +27,7 @@ from deformscope.images import encode_png
 from deformscope.log.layout import RIG, RigLayout
 from deformscope.page.server.page_server import end_pages
 from deformscope.page.server.viewer_files import viewer_environment, viewer_executable
-from deformscope.recording import facts, lateness, recorder
+from deformscope.recording import facts, lateness, recorder, rrd_file
 from deformscope.recording import rrd_file as recording_file
 from deformscope.recording.items import read_items
 from deformscope.recording.lateness import RecordingError
@@ -610,7 +610,7 @@ def test_the_file_never_waits_for_the_viewer(
     monkeypatch.setattr(recorder, "start_viewer", lambda: Viewer(0, 0))
     monkeypatch.setattr(recorder, "live_stream", lambda *given: unblocked.append(stuck.wait(PATIENCE_S)))
     monkeypatch.setattr(recorder, "LIVE_TIMEOUT_S", 0.3)
-    monkeypatch.setattr(recorder, "leave_streams_alone", lambda: unregistered.append(True))
+    monkeypatch.setattr(rrd_file, "leave_streams_alone", lambda: unregistered.append(True))
     path = tmp_path / "run.rrd"
     with Recorder(path, "native", {}) as made:
         for frame in synthetic.frames(400):

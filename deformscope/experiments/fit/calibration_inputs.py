@@ -16,10 +16,7 @@ from deformscope.experiments.fit.push_force import PushOptions
 from deformscope.file_io import SAMPLE_SCHEME, sample_path
 from deformscope.files.sources import Source, open_source
 from deformscope.images import read_image
-from deformscope.recording.reader import Replay
-from deformscope.stages.fit.calibrate import FitOptions, Model
 from deformscope.stages.materials.press_cycle import PressForce
-from deformscope.stages.msm.solver import pick_device
 from deformscope.stages.see.follow import LARGE_PX
 from deformscope.stages.see.particles import outlined
 
@@ -27,19 +24,6 @@ FLOW_S_PER_PX = 5e-7
 """Time of the flow both ways from a frame to the next in steady motion, on two cores [s/px]."""
 FOLLOWED_S, FEWEST_FRAMES = 7.5, 16
 """Time limit of tracking a long sequence, and least number of its frames; jumps take up to 7 times that."""
-
-
-def fit_options(config: BetaConfig | ThetaConfig) -> FitOptions:
-    """Method and model of the parameter's search."""
-    search = config.search
-    known: dict[str, Any] = {"volume": search.volume, "device": pick_device(search.device)}
-    if isinstance(config, BetaConfig):
-        bounds, size = config.beta_range, config.fitted_cluster_size
-        model = Model("beta", config.mode, size, config.alpha, theta=config.fitted_theta, **known)
-    else:
-        bounds = config.theta_range
-        model = Model("theta", config.mode, config.cluster_size, config.alpha, beta=config.beta, **known)
-    return FitOptions(model, bounds, search.method, search.candidates, search.level, config.output.seed, config.at)
 
 
 def images_of(config: BetaConfig | ThetaConfig | MaterialOptions) -> ImageOptions:
@@ -125,5 +109,7 @@ def mask_of(sources: Sequence[str], images: ImageOptions, size: tuple[int, int])
     if images.mask is not None:
         mask = read_image(images.mask)
     elif len(sources) == 1 and Path(sources[0]).suffix.lower() == ".rrd":
+        from deformscope.recording.reader import Replay
+
         mask = Replay(Path(sources[0]), trust=True).mask  # its ledger was compared when it was looked at for pairs
     return mask if images.outline is None else outlined(mask, images.outline, size)

@@ -3,19 +3,35 @@ body of layers below it that can be poked elsewhere."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
+from deformscope.config import BetaConfig, ThetaConfig
 from deformscope.config.calibrate import LayersFlags
 from deformscope.errors import InputError
 from deformscope.session import Experiment, Step, measuring
 from deformscope.stages.fit.calibrate import Calibration, calibrate
-from deformscope.stages.fit.model import FitOptions, Observation
+from deformscope.stages.fit.model import FitOptions, Model, Observation
 from deformscope.stages.fit.plausible import check_poke
 from deformscope.stages.fit.search import Progress
+from deformscope.stages.msm.solver import pick_device
 from deformscope.stages.poke.layers import MeasuredSurface
 from deformscope.stages.poke.poke_estimate import PokesResult, conclude
 from deformscope.stages.poke.poke_fit import fit_pokes, seen_poke, spacing_for
+
+
+def fit_options(config: BetaConfig | ThetaConfig) -> FitOptions:
+    """Method and model of the parameter's search."""
+    search = config.search
+    known: dict[str, Any] = {"volume": search.volume, "device": pick_device(search.device)}
+    if isinstance(config, BetaConfig):
+        bounds, size = config.beta_range, config.fitted_cluster_size
+        model = Model("beta", config.mode, size, config.alpha, theta=config.fitted_theta, **known)
+    else:
+        bounds = config.theta_range
+        model = Model("theta", config.mode, config.cluster_size, config.alpha, beta=config.beta, **known)
+    return FitOptions(model, bounds, search.method, search.candidates, search.level, config.output.seed, config.at)
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,6 @@ Particles are left out, not frames, whose errors are similar: a frame left out i
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.stages.fit.search import Search
@@ -59,6 +58,8 @@ def blocks_of(rest: FloatArray, spacing: float, window: float) -> tuple[IntArray
 def hold_out(search: Search, judged: BoolArray, block: IntArray, fold: IntArray) -> HeldOut:
     """For each fold, fit to all other folds and judge by this one, with the candidates that a search has tried. judged:
     (K,) particles that count; block, fold: (K,)"""
+    from scipy.interpolate import CubicSpline
+
     tried = search.tried
     if tried.usable.sum() < 4:
         return HeldOut(np.nan, np.full(int(block.max()) + 1, np.nan), np.nan, np.nan)

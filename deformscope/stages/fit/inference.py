@@ -13,9 +13,9 @@ guessed covariance (as generalised least squares does) would treat the finest pa
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 from scipy.special import logsumexp
 
 from deformscope.arrays import FloatArray
@@ -126,7 +126,7 @@ class Inference:
         count = 1 + int(np.searchsorted(NODES_FROM, high - low))
         nodes = np.unique(nearest[np.array([[KNOTS // 2], [0, KNOTS - 1], [0, KNOTS // 2, KNOTS - 1]][count - 1])])
         total = np.zeros(len(fine))
-        spline = CubicSpline(knots, np.eye(len(knots)))(fine)
+        spline = spline_between(KNOTS, BETWEEN)
         for row, part in enumerate(self.parts):
             left = part.left(search.tried.positions[row][rows[nearest]])
             responses = [self.response(row, int(rows[node])) for node in nodes]
@@ -169,6 +169,25 @@ class Inference:
             lambda held, base, tolerance: search.relax(part.body, held, parameter, base, tolerance=tolerance),
             exact=exact,
         )
+
+
+@cache
+def spline_between(knots: int, steps: int) -> FloatArray:
+    """(f, k) share of the values at k evenly spaced knots in the cubic spline through them, so many steps from each to
+    the next; its first and last two pieces are one cubic each (not-a-knot)."""
+    value = np.eye(knots)
+    rise = np.diff(value, axis=0)
+    slopes, by = np.diag(np.full(knots, 4.0)) + np.eye(knots, k=1) + np.eye(knots, k=-1), np.empty_like(value)
+    by[1:-1] = 3.0 * (rise[1:] + rise[:-1])
+    for end, inner, near, next_ in ((0, 1, 0, 1), (-1, -2, -1, -2)):
+        slopes[end, [end, inner]], by[end] = (1.0, 2.0), 2.5 * rise[near] + 0.5 * rise[next_]
+    slope = np.linalg.solve(slopes, by)
+    piece, step = np.divmod(np.arange((knots - 1) * steps + 1), steps)
+    step = np.where(piece == knots - 1, steps, step)[:, None] / steps
+    piece = np.minimum(piece, knots - 2)
+    value, rise, begin, end_ = value[piece], rise[piece], slope[piece], slope[piece + 1]
+    bend = 3.0 * rise - 2.0 * begin - end_ + step * (begin + end_ - 2.0 * rise)
+    return np.asarray(value + step * (begin + step * bend))
 
 
 def misfit_outweighs(parts: Sequence[Residuals]) -> bool:

@@ -24,7 +24,6 @@ estimating C."""
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import nnls
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.stages.fit.search import Search
@@ -149,6 +148,8 @@ def shared_part(score: FloatArray, rng: np.random.Generator) -> Shared:
 
 def weights(information: FloatArray, rows: IntArray, shared: Shared) -> FloatArray:
     """Weights of the frames `rows`, each of which alone has (F,) standard deviations of information."""
+    from scipy.optimize import nnls
+
     weight = np.zeros(len(information))
     kept = np.flatnonzero(information > 0.0)
     if kept.size == 0:

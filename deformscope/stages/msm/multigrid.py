@@ -19,7 +19,6 @@ from typing import Any, TypeAlias, TypeGuard
 
 import numpy as np
 import warp as wp
-from scipy.ndimage import label
 from scipy.sparse import block_diag, csr_array
 from scipy.spatial import cKDTree
 
@@ -266,6 +265,8 @@ class Multigrid:
             shape = (shape + 1) // 2
         if tuple(shape) == tuple(body.shape) or shape.max() > LONGEST:
             return False
+        from scipy.ndimage import label  # slow to import
+
         pieces, count = label(body.at_cells(np.ones(len(body.cell)), float).reshape(body.shape), np.ones((3, 3, 3)))
         return bool(len(np.unique(pieces.reshape(-1)[body.cell[~rest.free]])) == count)
 

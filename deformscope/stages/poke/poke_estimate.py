@@ -5,7 +5,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
 from scipy.special import logsumexp
 
@@ -275,6 +274,8 @@ class Profile:
 
         The residual of the best law is misfit more than noise, and points of a surface share it. The number of
         independent points is that of patches of the size of the tip. Several pokes share it too: they count as one."""
+        from scipy.interpolate import CubicSpline
+
         fine = np.linspace(self.stretched[0], self.stretched[-1], FINE)
         beta, law = beta_of(fine, self.fit.beta_range), self.fit.best.law
         thetas = np.linspace(0.0, 1.0, THETAS) if self.by_theta is not None else np.array([law.theta])

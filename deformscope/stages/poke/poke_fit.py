@@ -9,8 +9,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
-from scipy.optimize import least_squares
 from scipy.sparse import csr_array
 from scipy.spatial import ConvexHull, QhullError
 
@@ -271,6 +269,8 @@ def fit_shape(
 
     All pokes count equally, whatever their number of points. Slopes are differences, because slipping particles move
     with the law. A law and its neighbours are relaxed together."""
+    from scipy.optimize import least_squares  # slow to import
+
     size = posed[0].size
     seen: dict[bytes, tuple[FloatArray, FloatArray, bool]] = {}
 
@@ -327,6 +327,8 @@ def _cells(points: FloatArray, side: float) -> csr_array:
 
 def _between(place: FloatArray, value: FloatArray, wanted: FloatArray) -> FloatArray:
     """Values (n, 3) at places (n, 2), interpolated and extrapolated at the places (m, 2)."""
+    from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
+
     nearest = NearestNDInterpolator(place, value)(wanted)
     try:
         inner = LinearNDInterpolator(place, value)(wanted)

@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 from scipy.stats import norm
 
 from deformscope.stages.fit import estimate
 from deformscope.stages.fit.doubts import little_explained
+from deformscope.stages.fit.inference import spline_between
 
 
 def gaussian(mean: float, deviation: float, low: float = 0.0, high: float = 1.0) -> estimate.Posterior:
@@ -125,3 +127,10 @@ def test_verdicts_in_words(ends: tuple[float, float], kind: estimate.Verdict, wo
     assert shown["verdict_text"] == words
     assert shown["stiffness_text"] == "position alone does not identify stiffness here: give a force"
     assert len(shown["posterior"]["parameter"]) <= 121  # type: ignore[index]
+
+
+@pytest.mark.parametrize(("knots", "steps"), [(25, 8), (5, 3), (4, 1)])
+def test_splines_between_even_knots_are_scipys(knots: int, steps: int) -> None:
+    at = np.linspace(0.1, 9.2, knots)
+    fine = np.linspace(0.1, 9.2, (knots - 1) * steps + 1)
+    np.testing.assert_allclose(spline_between(knots, steps), CubicSpline(at, np.eye(knots))(fine), atol=1e-14)
