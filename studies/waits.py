@@ -142,12 +142,13 @@ def run(build: str, line: str, folder: Path) -> Cost:
     """The cost of one command line of a build."""
     paths = os.pathsep.join((build, str(Path(build) / "drivers")))
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+    kept = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}  # as a user has it
     began_s = time.perf_counter()
     with (folder / "output.txt").open("wb") as output:
         process = subprocess.Popen(
             [sys.executable, "-m", "deformscope", *shlex.split(line)],
             cwd=folder,
-            env={**os.environ, **threads, "PYTHONPATH": paths},
+            env={**kept, **threads, "PYTHONPATH": paths},
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=subprocess.STDOUT,
