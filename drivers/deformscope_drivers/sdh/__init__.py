@@ -6,7 +6,6 @@ from deformscope_drivers.sdh.codes import VelocityProfile as VelocityProfile
 from deformscope_drivers.sdh.config import SdhConfig as SdhConfig
 from deformscope_drivers.sdh.device import CurrentMode as CurrentMode
 from deformscope_drivers.sdh.device import Sdh as Sdh
-from deformscope_drivers.sdh.device import Toward as Toward
 from deformscope_drivers.sdh.double import Port as Port
 from deformscope_drivers.sdh.double import SdhDouble as SdhDouble
 from deformscope_drivers.sdh.results import HandReading as HandReading

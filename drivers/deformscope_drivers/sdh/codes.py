@@ -129,7 +129,6 @@ DEFAULT_VELOCITY_DEG_S: Final = 40.0
 DEFAULT_ACCELERATION_DEG_S2: Final = 100.0
 MOVE_CURRENT_A: Final = (1.0, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5)  # while gripping, in a trace of old firmware
 HOLD_CURRENT_A: Final = (0.1, 0.2, 0.2, 0.2, 0.2, 0.2, 0.2)
-REFERENCE_VELOCITY_DEG_S: Final = 25.0
 
 Release = tuple[int, ...]
 

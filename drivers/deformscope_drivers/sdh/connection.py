@@ -19,7 +19,6 @@ OPEN_DROP_BYTES = 1024
 VERSION_TIMEOUT_S = 1.0
 TRIES = 3
 RESYNC_QUIET_S = 0.03
-LONG_S = 2.0  # answers that take longer than this are not waited for when the device is closed
 _GARBLED = frozenset((10, 33))  # the hand got our bytes with a wrong checksum: worth another try
 
 ReplyT = TypeVar("ReplyT", protocol.Reading, protocol.ValueReply, protocol.TextReply)
@@ -159,12 +158,10 @@ class SdhConnection(StreamDevice[HandReading]):
         except errors.CommandRefused:
             return ""
 
-    def _values(self, name: str, *values: float, timeout_s: float | None = None, tries: int = TRIES) -> ByAxis:
-        return self._exchange(protocol.Command(name, values), protocol.ValueReply, timeout_s, tries).values
+    def _values(self, name: str, *values: float) -> ByAxis:
+        return self._exchange(protocol.Command(name, values), protocol.ValueReply).values
 
-    def _exchange(
-        self, command: protocol.Command, kind: type[ReplyT], timeout_s: float | None = None, tries: int = TRIES
-    ) -> ReplyT:
+    def _exchange(self, command: protocol.Command, kind: type[ReplyT], timeout_s: float | None = None) -> ReplyT:
         """Send a command and take its answer; again, after the line fell silent, when none comes or it is garbled.
 
         Runs in the device's thread. Raises CommandRefused with the hand's error code, NoReply, LinkLost."""
@@ -178,7 +175,7 @@ class SdhConnection(StreamDevice[HandReading]):
         )
         data = protocol.encode(command, binary_checksum=self.config.checksummed() if in_binary else None)
         refusal: protocol.ErrorReply | None = None
-        for attempt in range(tries):
+        for attempt in range(TRIES):
             if attempt:
                 self._retries += 1
                 self._resync()
@@ -195,10 +192,8 @@ class SdhConnection(StreamDevice[HandReading]):
             raise errors.CommandRefused(
                 refusal.code, codes.error_name(refusal.code), doing, codes.error_advice(refusal.code), self.name
             )
-        waited = f"{tries} x {timeout_s:g} s" if tries > 1 else f"{timeout_s:g} s"
-        raise errors.NoReply(
-            f"an answer to {doing} within {waited}", "none", "check supply, cable and baud rate", self.name
-        )
+        expected = f"an answer to {doing} within {TRIES} x {timeout_s:g} s"
+        raise errors.NoReply(expected, "none", "check supply, cable and baud rate", self.name)
 
     def _answer(
         self, command: protocol.Command, kind: type[ReplyT], timeout_s: float
@@ -213,8 +208,6 @@ class SdhConnection(StreamDevice[HandReading]):
                     self._count_refused("unasked")
             if found is not None:
                 return found
-            if self._closing.is_set() and timeout_s > LONG_S:
-                break
         return None
 
     def _overhear(self, timeout_s: float) -> None:

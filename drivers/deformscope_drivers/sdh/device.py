@@ -6,7 +6,7 @@ A move goes to its targets, a velocity to the ends of the axes."""
 import contextlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from enum import IntEnum, StrEnum
+from enum import StrEnum
 
 import numpy as np
 
@@ -24,7 +24,6 @@ SETTLE_S = 0.5
 """Time after a command in which an idle axis may not have started yet: IPA's driver waits as long."""
 MARGIN_S = 1.0
 LONGEST_MOTION_S = 15.0  # where old firmware does not report it: the whole range at 12 deg/s
-REFERENCE_TIMEOUT_S = 10.0
 COMMAND_TIMEOUT_S = 10.0
 ECHO_TOLERANCE = 0.06
 STILL: ByAxis = (0.0,) * codes.AXIS_COUNT
@@ -36,13 +35,6 @@ class CurrentMode(StrEnum):
     MOVE = "ilim"
     GRIP = "igrip"
     HOLD = "ihold"
-
-
-class Toward(IntEnum):
-    """Towards which mechanical end an axis is referenced."""
-
-    POSITIVE = 1
-    NEGATIVE = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,20 +169,6 @@ class Sdh(SdhConnection):
         """Limit the motor currents: one value for all, or (7,) [A], 0 to 1."""
         limits_a = self.limits.currents(limit_a, self.name)
         self._do(lambda: self._set(CurrentMode(mode), limits_a), COMMAND_TIMEOUT_S)
-
-    def reference(self, toward: Mapping[int, Toward]) -> None:
-        """Drive axes, by number, against a mechanical end at 25 deg/s: for axes without absolute encoder.
-
-        The hand answers when it is done, after up to 10 s in which no readings come and nothing stops it."""
-        if not toward or any(axis not in range(codes.AXIS_COUNT) for axis in toward):
-            raise OutOfLimits(f"axes of 0 to {codes.AXIS_COUNT - 1}", f"{sorted(toward)}", where=self.name)
-        senses = tuple(float(Toward(toward[axis])) if axis in toward else 0.0 for axis in range(codes.AXIS_COUNT))
-
-        def run() -> None:
-            self._switched_on = True
-            self._values("ref", *senses, timeout_s=REFERENCE_TIMEOUT_S, tries=1)
-
-        self._do(run, REFERENCE_TIMEOUT_S + COMMAND_TIMEOUT_S)
 
     # Within: the caller's thread -------------------------------------------------------------------------------------
 

@@ -116,29 +116,17 @@ class SdhDouble:
 
     def next_ns(self, now_ns: int) -> int | None:
         moments = [self._line.next_ns()]
-        if self._firmware.last_line is not None:
-            moments.append(self._firmware.busy_until_ns)
         if self._waiting:
-            moments.append(max(self._waiting[0][0], self._firmware.busy_until_ns))
+            moments.append(self._waiting[0][0])
         return min((moment for moment in moments if moment is not None), default=None)
 
     def _run(self, now_ns: int) -> None:
-        """Everything up to now: ends of commands that took their time, and commands that have come by then."""
-        firmware = self._firmware
-        while True:
-            if firmware.last_line is not None:
-                if firmware.busy_until_ns > now_ns:
-                    break
-                firmware.advance(firmware.busy_until_ns)
-                event, firmware.last_line = firmware.last_line, None
-                self._send(event, False, firmware.busy_until_ns)
-            elif self._waiting and (at_ns := max(self._waiting[0][0], firmware.busy_until_ns)) <= now_ns:
-                _, received = self._waiting.popleft()
-                firmware.advance(at_ns)
-                self._answer(received, at_ns)
-            else:
-                break
-        firmware.advance(now_ns)
+        """Everything up to now: the commands that have come by then."""
+        while self._waiting and self._waiting[0][0] <= now_ns:
+            at_ns, received = self._waiting.popleft()
+            self._firmware.motion.advance(at_ns)
+            self._answer(received, at_ns)
+        self._firmware.motion.advance(now_ns)
 
     def _answer(self, received: Received, now_ns: int) -> None:
         command = received.command

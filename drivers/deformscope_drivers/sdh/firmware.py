@@ -33,10 +33,7 @@ class Refusal(Exception):
 
 
 class Firmware:
-    """The commands of one release, on a hand that moves.
-
-    busy_until_ns: until then it does not answer, during referencing
-    last_line: its output then"""
+    """The commands of one release, on a hand that moves."""
 
     def __init__(self, version: str, texts: dict[str, str], state_lag_s: float) -> None:
         self.release = codes.release(version)
@@ -53,17 +50,9 @@ class Firmware:
             axis.position_deg, axis.temperature_c = old.position_deg, old.temperature_c
             axis.obstacle_low_deg, axis.obstacle_high_deg = old.obstacle_low_deg, old.obstacle_high_deg
         self.refusals: deque[int] = deque()
-        self.busy_until_ns = 0
-        self.last_line: Event | None = None
         self._lag_until_ns = 0
         self._reported_states = tuple(axis.state for axis in self.motion.axes)
         self._integers = dict.fromkeys(codes.INTEGER_COMMANDS, 0)
-        self._pid = [(1.0, 0.0, 0.0)] * codes.AXIS_COUNT
-        self._kv = [0.0] * codes.AXIS_COUNT
-
-    def advance(self, now_ns: int) -> None:
-        """Everything that happens until then without a command."""
-        self.motion.advance(now_ns)
 
     def do(self, command: Command, now_ns: int) -> list[Event]:
         """The answer to a command, its debug lines first. Raises Refusal."""
@@ -91,16 +80,7 @@ class Firmware:
                 return [self._controller(values, now_ns)]
             case "vp" | "user_errors" | "terminal" | "debug":
                 return [self._integer(name, values)]
-            case "pid" | "kv":
-                return [self._gains(command)]
-            case "ref":
-                return self._reference(command, now_ns)
-            case "pos_save":
-                _check(command.values, lambda value: value in (0.0, 1.0))
-                return [ValueReply(name, values, command.axis)]
-            case "numaxis":
-                return [ValueReply(name, (float(codes.AXIS_COUNT),))]
-        raise Refusal(UNKNOWN)  # `grip` and `demo` too: nothing here moves without a target that can be stopped
+        raise Refusal(UNKNOWN)  # also commands that the driver does not send: `grip`, `ref`, `pid`, `demo`...
 
     def _axes(self, command: Command) -> list[tuple[int, Axis]]:
         axes = list(enumerate(self.motion.axes))
@@ -237,43 +217,8 @@ class Firmware:
                 self.motion.profile = codes.VelocityProfile(int(number))
         return ValueReply(name, (float(self._integers[name]),))
 
-    def _gains(self, command: Command) -> Event:
-        name, values, axis = command.name, command.values, command.axis
-        if axis is None:
-            raise Refusal(FORMAT)  # the firmware takes one axis at a time
-        if name == "pid":
-            if values:
-                p, i, d = _exactly(values, 3)
-                self._pid[axis] = (p, i, d)
-            return ValueReply(name, self._pid[axis], axis)
-        if values:
-            (self._kv[axis],) = _exactly(values, 1)
-        return ValueReply(name, (self._kv[axis],), axis)
-
-    def _reference(self, command: Command, now_ns: int) -> list[Event]:
-        axes = self._axes(command)
-        senses = _exactly(command.values, len(axes))
-        _check(senses, lambda value: value in (0.0, 1.0, 2.0))
-        targets: list[float | None] = [None] * codes.AXIS_COUNT
-        for (index, axis), sense in zip(axes, senses, strict=True):
-            if sense:
-                self.motion.power(index, True)
-                targets[index] = axis.high_deg if sense == 1.0 else axis.low_deg
-        self._keep_reporting(now_ns)
-        duration_s = self.motion.start(targets, [codes.REFERENCE_VELOCITY_DEG_S] * codes.AXIS_COUNT)
-        self.busy_until_ns = now_ns + round(duration_s * 1e9)
-        self.last_line = ValueReply("ref", command.values, command.axis)
-        return []
-
 
 def _exactly(values: tuple[float, ...], count: int) -> tuple[float, ...]:
     if len(values) != count:
         raise Refusal(FEW if len(values) < count else FORMAT)
     return values
-
-
-def _check(values: tuple[float, ...], good: Callable[[float], bool]) -> None:
-    if not values:
-        raise Refusal(FEW)
-    if not all(good(value) for value in values):
-        raise Refusal(RANGE)

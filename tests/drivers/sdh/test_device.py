@@ -381,13 +381,6 @@ def test_a_velocity_switches_axes_on_again(lab: Make) -> None:
     assert made.position_deg()[1] > before + 5.0
 
 
-def test_reference(lab: Make) -> None:
-    made = lab()
-    made.hand.reference({0: sdh.Toward.POSITIVE})
-    assert made.position_deg()[0] == 90.0
-    assert made.clock() > 7.2e9
-
-
 @pytest.mark.parametrize(("leave_powered", "expected"), [(False, sdh.AxisState.DISABLED), (True, sdh.AxisState.IDLE)])
 def test_closing_switches_off_what_was_switched_on(lab: Make, leave_powered: bool, expected: sdh.AxisState) -> None:
     made = lab(leave_powered=leave_powered)
@@ -427,8 +420,6 @@ REFUSED = [
     lambda hand: hand.set_current_limits(1.01),
     lambda hand: hand.set_current_limits([0.1] * 6),
     lambda hand: hand.power([True]),
-    lambda hand: hand.reference({}),
-    lambda hand: hand.reference({8: sdh.Toward.POSITIVE}),
 ]
 
 
@@ -574,25 +565,3 @@ def test_stop_from_another_thread_ends_a_move() -> None:
         mover.join(PATIENCE_S)
     assert results[0].outcome is sdh.Outcome.STOPPED
     assert 0.0 < results[0].reading.position_deg[1] < 60.0
-
-
-def test_closing_does_not_wait_for_a_long_answer() -> None:
-    double = sdh.SdhDouble()
-    with PtyWire(double) as wire:
-        hand = sdh.Sdh(config(port=wire.port)).open()
-        errors: list[DeviceError] = []
-
-        def reference() -> None:
-            try:
-                hand.reference({0: sdh.Toward.POSITIVE})  # 7.2 s
-            except DeviceError as error:
-                errors.append(error)
-
-        caller = threading.Thread(target=reference)
-        caller.start()
-        wait_until(lambda: double.motion.moving)
-        hand.close()
-        caller.join(PATIENCE_S)
-        assert not hand.is_open
-        assert isinstance(errors[0], NoReply)
-        assert double.motion.moving
