@@ -281,9 +281,20 @@ class Multigrid:
             transfer.begin, transfer.plane = upload(weights.indptr, int, device), upload(weights.indices, int, device)
             transfer.weight = upload(weights.data, wp.float32, device)
             given = [each if isinstance(each, wp.array) else upload(each, wp.float32, device) for each in fields]
-            dim = (target.layout.groups * target.layout.abreast, target.body.dim, target.body.count)
-            inputs = [transfer, source.place, target.place, *given]
-            return functools.partial(wp.launch, self.kernels.gather, dim, inputs, [out], device=device)
+            abreast, dim = target.layout.abreast, target.body.dim
+            if wp.get_device(device).is_cpu:
+                cells = source.body.count, target.body.count
+                own = [np.repeat(w.numpy().reshape(-1)[:n], abreast) for w, n in zip(given[2:], cells, strict=True)]
+                weighted = [*given[:2], *(upload(w, wp.float32, device) for w in own)]
+                work = wp.empty((source.place.cells_1 + 1) * source.place.cells_2 * abreast, wp.float32, device=device)
+                planes = (target.layout.groups, dim, target.place.cells_0)
+                inputs = [transfer, source.place, target.place, *weighted, work]
+                return functools.partial(wp.launch, self.kernels.gather_planes, planes, inputs, [out], device=device)
+            inputs, each_cell = [transfer, source.place, target.place, *given], target.body.count
+            candidates = target.layout.groups * abreast
+            return functools.partial(
+                wp.launch, self.kernels.gather, (candidates, dim, each_cell), inputs, [out], device=device
+            )
 
         metric = coarse.operator.metric.numpy()[: coarse.body.count].astype(np.float64)
         by_metric = np.divide(fine.rest.affine / rest.affine, metric, out=np.zeros_like(metric), where=metric > 0)

@@ -37,6 +37,49 @@ class Transfer:
     weight: wp.array(dtype=wp.float32)
 
 
+PLANE_C = """
+    const int line = source.cells_2 * source.abreast, area = source.cells_1 * line;
+    const int from = source.front + group * source.group + row * source.stride;
+    const int first = target.front + group * target.group + row * target.stride;
+    const wp::float32* __restrict weight = transfer.weight.data;
+    const int* __restrict begin = transfer.begin.data;
+    wp::float32* __restrict across = work.data;
+    wp::float32* __restrict along = work.data + area;
+    for (int x = 0; x < area; ++x) across[x] = 0;
+    for (int a = begin[plane]; a < begin[plane + 1]; ++a) {
+        const int at = transfer.plane.data[a] * area;
+        const wp::float32* __restrict v = values.data + from + at;
+        const wp::float32* __restrict m = more.data + from + at;
+        const wp::float32* __restrict own = source_weight.data + at;
+        const wp::float32 w = weight[a];
+        for (int x = 0; x < area; ++x) across[x] += w * own[x] * (v[x] + m[x]);
+    }
+    for (int t1 = 0; t1 < target.cells_1; ++t1) {
+        const int row_1 = target.cells_0 + t1;
+        for (int x = 0; x < line; ++x) along[x] = 0;
+        for (int b = begin[row_1]; b < begin[row_1 + 1]; ++b) {
+            const wp::float32* __restrict v = across + (transfer.plane.data[b] - source.cells_0) * line;
+            const wp::float32 w = weight[b];
+            for (int x = 0; x < line; ++x) along[x] += w * v[x];
+        }
+        for (int t2 = 0; t2 < target.cells_2; ++t2) {
+            const int row_2 = target.cells_0 + target.cells_1 + t2;
+            const int cell = ((plane * target.cells_1 + t1) * target.cells_2 + t2) * target.abreast;
+            for (int l = 0; l < target.abreast; ++l) {
+                const wp::float32 own = target_weight.data[cell + l];
+                wp::float32 total = 0;
+                for (int c = begin[row_2]; c < begin[row_2 + 1]; ++c) {
+                    const int at = transfer.plane.data[c] - source.cells_0 - source.cells_1;
+                    total += weight[c] * along[at * source.abreast + l];
+                }
+                out.data[first + cell + l] = own > 0 ? own * total : 0;
+            }
+        }
+    }
+"""
+"""One plane of the target of a transfer, row `row` of the fields of a group of candidates."""
+
+
 @functools.cache
 def transfer_kernels_for(dim: int, scalar: Any) -> SimpleNamespace:
     """The kernels for fields of `dim` rows; `scalar` is that of the fields that are preconditioned."""
@@ -95,7 +138,43 @@ def transfer_kernels_for(dim: int, scalar: Any) -> SimpleNamespace:
                         total += w1 * transfer.weight[c0 + c] * source_weight[own] * (values[i] + more[i])
         out[at(target, candidate, cell) + row * target.stride] = target_weight[cell] * total
 
-    return members(gather, conversion("put_in", scalar, wp.float32), conversion("take_out", wp.float32, scalar))
+    @wp.func_native(PLANE_C)
+    def one_plane(
+        transfer: Transfer,
+        source: Cells,
+        target: Cells,
+        group: int,
+        row: int,
+        plane: int,
+        values: numbers,
+        more: numbers,
+        source_weight: numbers,
+        target_weight: numbers,
+        work: numbers,
+        out: numbers,
+    ): ...
+
+    @kernel
+    def gather_planes(
+        transfer: Transfer,
+        source: Cells,
+        target: Cells,
+        # In: as `gather`, but weights of each candidate's cells; work: a plane and a line of the source
+        values: numbers,
+        more: numbers,
+        source_weight: numbers,
+        target_weight: numbers,
+        work: numbers,
+        # Out:
+        out: numbers,
+    ):
+        """`gather` for a CPU: axis after axis, each over whole lines. Its threads follow each other: they share
+        `work`."""
+        group, row, plane = wp.tid()
+        one_plane(transfer, source, target, group, row, plane, values, more, source_weight, target_weight, work, out)
+
+    conversions = conversion("put_in", scalar, wp.float32), conversion("take_out", wp.float32, scalar)
+    return members(gather, gather_planes, *conversions)
 
 
 @functools.cache
