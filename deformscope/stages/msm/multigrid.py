@@ -280,7 +280,9 @@ class Multigrid:
             transfer = Transfer()
             transfer.begin, transfer.plane = upload(weights.indptr, int, device), upload(weights.indices, int, device)
             transfer.weight = upload(weights.data, wp.float32, device)
-            given = [each if isinstance(each, wp.array) else upload(each, wp.float32, device) for each in fields]
+            given: list[Any] = [
+                each if isinstance(each, wp.array) else upload(each, wp.float32, device) for each in fields
+            ]
             abreast, dim = target.layout.abreast, target.body.dim
             if wp.get_device(device).is_cpu:
                 cells = source.body.count, target.body.count
