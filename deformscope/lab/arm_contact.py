@@ -82,7 +82,8 @@ class ArmContact:
         self.max_force_n = max(self.max_force_n, float(np.linalg.norm(self.force_n)))
         pushed = self._placement.to_base(self.force_n + self.finger_n)
         if np.any(pushed):
-            lever_m = self._placement.to_base(T[:3, 3]) - self._placement.to_base(self._end_m())
+            end_m = (self._placement.T_surface_base @ self._arm.T_base_end_effector)[:3, 3]
+            lever_m = self._placement.to_base(T[:3, 3]) - self._placement.to_base(end_m)
             self._arm.push([*pushed, *cross(lever_m, pushed)])
         else:
             self._arm.push(np.zeros(6))
@@ -112,10 +113,6 @@ class ArmContact:
         """(4, 4) pose of the tip's centre in the surface frame by the arm's joints, without the arm's compliance
         [m]."""
         return self._placement.T_surface_center(self._arm.T_base_end_effector)
-
-    def _end_m(self) -> FloatArray:
-        T = self._arm.T_base_end_effector
-        return np.asarray(self._placement.T_surface_base @ T)[:3, 3]
 
     def _contact(self, center_m: FloatArray) -> FloatArray:
         """The force at which the arm's give and the world's are in balance.

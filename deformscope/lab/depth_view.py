@@ -62,18 +62,15 @@ class DepthView(RayCamera):
         self._grid = (len(axes[0]), len(axes[1]))
         self._still = self._all(self._rest)
         self._still_m = self.points_m(self._still.depth_m)
-        self._last: tuple[FloatArray | None, Rendered] = None, self._still
 
     def render(
         self, displaced_m: FloatArray | None = None, capsules: Sequence[Capsule] = (), solids: Sequence[PosedSolid] = ()
     ) -> Rendered:
-        """The exact picture. displaced_m: (n, 3) displacement of the surface at `places_m` [m], None at rest, not to be
-        changed afterwards; capsules, solids: the robot, surface frame"""
+        """The exact picture. displaced_m: (n, 3) displacement of the surface at `places_m` [m], None at rest; capsules,
+        solids: the robot, surface frame"""
         if displaced_m is not None and np.shape(displaced_m) != self._rest.shape:
             raise InputError(f"displacements of shape {self._rest.shape}", str(np.shape(displaced_m)), "places_m")
-        if displaced_m is not self._last[0]:
-            self._last = displaced_m, self._still if displaced_m is None else self._dented(displaced_m)
-        picture = self._last[1]
+        picture = self._still if displaced_m is None else self._dented(displaced_m)
         depth, seen, facing = picture.depth_m.copy(), picture.seen.copy(), picture.facing.copy()
         for capsule in capsules:
             self.cover(capsule, depth, seen, facing)

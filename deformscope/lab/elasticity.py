@@ -148,7 +148,9 @@ class HeldBox:
         held = np.asarray(held, dtype=bool)
         if held.shape != box.nodes.shape:
             raise InputError(f"held of shape {box.nodes.shape}, one entry per node and component", str(held.shape))
-        if np.linalg.matrix_rank(_rigid_motions(box.nodes)[held]) < 6:
+        place = (box.nodes - box.nodes.mean(axis=0)) / float(np.ptp(box.nodes, axis=0).max())
+        turns = np.stack([np.cross(axis, place) for axis in np.eye(3)], axis=-1)  # small ones; and translations
+        if np.linalg.matrix_rank(np.concatenate([np.broadcast_to(np.eye(3), turns.shape), turns], axis=-1)[held]) < 6:
             raise InputError("a box held against every rigid motion", "one that is free to move", "hold more nodes")
         self.box, self.held = box, held
         self._free = np.flatnonzero(~held.ravel())
@@ -221,13 +223,6 @@ def stiffness_of(basis: Basis, young: FloatArray, poisson: FloatArray) -> csr_ar
     row, column = np.broadcast_arrays(place[:, :, None], place[:, None, :])
     size = 3 * basis.N
     return csr_array((local.ravel(), (row.ravel(), column.ravel())), shape=(size, size))
-
-
-def _rigid_motions(nodes: FloatArray) -> FloatArray:
-    """(N, 3, 6) displacements of three translations and three small turns, of size 1."""
-    place = (nodes - nodes.mean(axis=0)) / float(np.ptp(nodes, axis=0).max())
-    turns = np.stack([np.cross(axis, place) for axis in np.eye(3)], axis=-1)
-    return np.concatenate([np.broadcast_to(np.eye(3), turns.shape), turns], axis=-1)
 
 
 def dissected(nodes: FloatArray, axes: tuple[FloatArray, ...]) -> IntArray:

@@ -100,9 +100,6 @@ class RobotBody:
 
 
 CAMERA_HZ = 10.0
-HIGH = 2.5
-"""Height of the tip's centre over the highest foam, in its radii, above which it touches nothing, on slopes up to 40
-degrees too."""
 CREEP_S = 1.0
 """Time constant of foam that creeps."""
 CAMERA_AZIMUTH_DEG = -90.0
@@ -162,7 +159,8 @@ class SceneLab:
         self._dent: tuple[Contact | None, FloatArray | None] = None, None  # as a camera last saw it
         view = DepthViewConfig(width=320, height=240, azimuth_deg=CAMERA_AZIMUTH_DEG)
         self.view = DepthView(scene, view)
-        self._high_m = float(scene.foam_height_m(self.view.places_m).max()) + HIGH * tip_radius_m * self.drawn.tip
+        # a tip's centre above that touches nothing, on slopes up to 40 degrees too
+        self._high_m = float(scene.foam_height_m(self.view.places_m).max()) + 2.5 * tip_radius_m * self.drawn.tip
         tool = Tool(radius_m=tip_radius_m)
         self.placement = Placement(T_BASE_AHEAD if arm else T_BASE_SURFACE, tool)
         parked = np.array([scene.size_m[0] / 2, scene.size_m[1] / 2, parked_m])

@@ -144,15 +144,12 @@ class TouchLab:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def wait_until(self, until_ns: int) -> None:
-        """Let time pass: every device is polled at its moments."""
-        self._pass_time(until_ns)
-
     def _call(self) -> None:
         """While the arm is called, time passes for the others."""
-        self._pass_time(self.clock() + round(self.call_s * 1e9), arm_waits=False)
+        self.wait_until(self.clock() + round(self.call_s * 1e9), arm_waits=False)
 
-    def _pass_time(self, until_ns: int, *, arm_waits: bool = True) -> None:
+    def wait_until(self, until_ns: int, *, arm_waits: bool = True) -> None:
+        """Let time pass: every device is polled at its moments; arm_waits: the arm too, as it is not being called."""
         while (now_ns := self.clock()) < until_ns:
             then_ns = min((now_ns // POLL_NS + 1) * POLL_NS, until_ns)
             if self.scheduled and self.scheduled[0][0] <= then_ns:

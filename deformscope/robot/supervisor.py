@@ -363,8 +363,9 @@ class Supervisor(LatchingSupervisor[Fault]):
                 found.append(
                     (Action.STOP, Fault.ARM_TURN, f"{turn_deg_s:.0f} deg/s, limit {limits.turn_deg_s:g} deg/s")
                 )
-            found += self._joint_limits(sample, before, span_s)
-            found += self._clear(sample, before, span_s)
+            joints_deg = np.array(sample.joints_deg)
+            rates_deg_s = (joints_deg - np.array(before.joints_deg)) / span_s
+            found += self._joint_limits(joints_deg, rates_deg_s) + self._clear(joints_deg, rates_deg_s)
         if limits.low_m is not None and limits.high_m is not None:
             ahead_m = center_m + limits.look_ahead_s * velocity_m_s
             low_m, high_m = np.array(limits.low_m), np.array(limits.high_m)
@@ -375,13 +376,10 @@ class Supervisor(LatchingSupervisor[Fault]):
                 found.append((Action.STOP, Fault.WORKSPACE, f"the tip at {where} m (base), leaving along {axis}"))
         return found
 
-    def _joint_limits(self, sample: ArmSample, before: ArmSample, span_s: float) -> list[Alarm[Fault]]:
-        chain = self._chain
-        if chain is None:
+    def _joint_limits(self, joints_deg: FloatArray, rates_deg_s: FloatArray) -> list[Alarm[Fault]]:
+        if (chain := self._chain) is None:
             return []
         margin_deg, ahead_s = self.limits.joint_margin_deg, self.limits.look_ahead_s
-        joints_deg = np.array(sample.joints_deg)
-        rates_deg_s = (joints_deg - np.array(before.joints_deg)) / span_s
         left_deg = np.where(rates_deg_s > 0, chain.upper_deg - joints_deg, joints_deg - chain.lower_deg)
         left_deg = left_deg - ahead_s * np.abs(rates_deg_s)
         nearing = (np.abs(rates_deg_s) > APPROACH_DEG_S) & (left_deg < margin_deg)
@@ -395,14 +393,13 @@ class Supervisor(LatchingSupervisor[Fault]):
             for joint in np.flatnonzero(nearing)
         ]
 
-    def _clear(self, sample: ArmSample, before: ArmSample, span_s: float) -> list[Alarm[Fault]]:
+    def _clear(self, joints_deg: FloatArray, rates_deg_s: FloatArray) -> list[Alarm[Fault]]:
         """Whether elbow and wrist near the table or the edge of the arm's box, or the arm nears itself: below a limit
         `look_ahead_s` from now, and nearer than at the last call."""
-        if self._chain is None or self._clearance is None or sample.joints_deg == before.joints_deg:
+        if self._chain is None or self._clearance is None or not rates_deg_s.any():
             return []
-        joints_deg = np.array(sample.joints_deg)
-        ahead_deg = joints_deg + self.limits.look_ahead_s * (joints_deg - np.array(before.joints_deg)) / span_s
         clearance, limits = self._clearance, self.limits
+        ahead_deg = joints_deg + limits.look_ahead_s * rates_deg_s
         limits_m = limits.table_m, limits.itself_m, 0.0
         nearer_m = 2.0 * clearance.reach_m * math.radians(float(np.abs(ahead_deg - self._clear_deg).sum()))
         if all(was_m - nearer_m > limit_m for was_m, limit_m in zip(self._clear_m, limits_m, strict=True)):

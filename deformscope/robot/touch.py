@@ -20,7 +20,7 @@ from deformscope.errors import InputError
 from deformscope.robot.force_alone import CONTACT_SHARE, MISS_M, SURPRISE_SHARE, ForceAlone, PressWatch
 from deformscope.robot.latch import Action
 from deformscope.robot.placement import Placement
-from deformscope.robot.readings import ArmSample, ForceSample, RobotObservation
+from deformscope.robot.readings import PERIOD_NS, ArmSample, ForceSample, RobotObservation
 from deformscope.robot.robot import MotionHeld, Robot, RobotStopped, TipVelocity
 from deformscope.robot.supervisor import Fault
 from deformscope.robot.travel import GAIN_PER_S, NotThere, to_above
@@ -60,10 +60,6 @@ class ForceControl:
         """Velocity along -normal, positive into the surface [m/s]. set_n, force_n: requested and measured [N]"""
         asked = (set_n - force_n) / (self.stiffness_n_m * self.TAU_S)
         return min(max(asked, -self._fastest_m_s), self._fastest_m_s)
-
-
-PERIOD_S = 0.01
-"""A control period: an arm takes one velocity in each (`readings.PERIOD_NS`)."""
 
 
 class Phase(StrEnum):
@@ -417,7 +413,7 @@ class TouchStateMachine:
     def _still(self, set_n: float) -> bool:
         """Whether depth and force were constant for STILL_S, at the set force unless at the greatest depth."""
         times, depths_m, forces_n = zip(*self._recent, strict=True)
-        if times[-1] - times[0] < STILL_S - 2 * PERIOD_S:
+        if times[-1] - times[0] < STILL_S - 2e-9 * PERIOD_NS:
             return False
         near_n = max(STILL_FORCE * set_n, STILL_FORCE_N)
         at_force = self.ending is not TouchEnding.SET_FORCE or all(abs(one - set_n) < near_n for one in forces_n)

@@ -26,9 +26,9 @@ class Pacer:
         until_ns = min(then_ns, self._clock() + round(max(timeout_s, 0.0) * 1e9))
         if isinstance(self._clock, SimulatedClock):
             self._clock.advance_to(until_ns)
-        elif (left_ns := until_ns - self._clock()) > 0:
-            self._woken.wait(left_ns / 1e9)
-        self._woken.clear()
+        else:
+            self._woken.wait(max(until_ns - self._clock(), 0) / 1e9)
+            self._woken.clear()
         return self._clock() >= then_ns
 
     def wake(self) -> None:

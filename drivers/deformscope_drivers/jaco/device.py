@@ -339,11 +339,8 @@ class Jaco(Arm[JacoState]):
         return self._state is not None and self._state.homed
 
     def _require_ready(self) -> None:
-        self._require_homed()
-        if self._homing_until_ns is not None:
-            raise OutOfLimits("an arm that is not on its way home", "one that is", "stop() first", self.name)
-
-    def _require_homed(self) -> None:
         if self.config.require_home and not self.homed:
             advice = "hold its joystick's home button until it rests; or deformscope arm home RIG; or arm.home()"
             raise NotHomed("an arm that was homed after power-on", "one that was not", advice, self.name)
+        if self._homing_until_ns is not None:
+            raise OutOfLimits("an arm that is not on its way home", "one that is", "stop() first", self.name)

@@ -125,7 +125,8 @@ class SimulatedArm:
         rates = np.zeros(self.chain.joint_count)
         if self.control:
             if self._homing:
-                rates = self._towards(self.chain.home_deg, np.full(self.chain.joint_count, HOME_SPEED_DEG_S))
+                left_deg = self.chain.home_deg - self.joints_deg
+                rates = np.clip(left_deg / CYCLE_S, -HOME_SPEED_DEG_S, HOME_SPEED_DEG_S)
                 self._homing = bool(np.any(rates))
                 if not self._homing:
                     self.homed = self.cartesian = True
@@ -157,10 +158,6 @@ class SimulatedArm:
             twist[3:] = self.links[-1, :3, :3] @ twist[3:]  # a point's rotation is in the end effector's frame
             rates = self._outside_zones(self._rates_of(twist))
         return rates
-
-    def _towards(self, target_deg: FloatArray, speeds_deg_s: FloatArray) -> FloatArray:
-        """Rates (n,) [deg/s] for one cycle towards joint angles; zero once there."""
-        return np.clip((target_deg - self.joints_deg) / CYCLE_S, -speeds_deg_s, speeds_deg_s)
 
     def _rates_of(self, twist: FloatArray) -> FloatArray:
         """Joint rates (n,) [deg/s] of a twist (6,) [m/s, rad/s] in the base frame, slowed alike where one is too fast.

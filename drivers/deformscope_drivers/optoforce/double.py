@@ -17,8 +17,6 @@ ZERO_REST_NS = 2_000_000
 """How long the zero point must have been cleared before it can be set again (JHU's driver found this out)."""
 FILTER_MEMORY = 8.0
 """Time constants after which a filter has forgotten; what lies longer ago is not computed."""
-NOISE_SAMPLES = 256
-"""Number of samples whose noise is drawn at once."""
 
 FloatArray = npt.NDArray[np.float64]
 Scene = Callable[[float], npt.ArrayLike]
@@ -29,10 +27,6 @@ OMD_20_SE_40N = Sensitivity(counts_at_nominal=(16037.0, 16037.0, 16037.0), nomin
 
 
 _WELL = protocol.Status.of()
-
-
-def _nothing_touches(time_s: float) -> npt.ArrayLike:
-    return (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +43,7 @@ class Sensors:
     acknowledges: the DAQ answers `Configure`; some firmware does not"""
 
     kind: protocol.Kind = protocol.Kind.THREE_AXIS
-    scene: Scene = _nothing_touches
+    scene: Scene = lambda time_s: (0.0, 0.0, 0.0)
     sensitivity: Sensitivity | Sequence[Sensitivity] | None = None
     serial: str = "ISE0A129"
     offset_counts: float = 120.0
@@ -212,8 +206,8 @@ class OptoforceDouble:
         offset, noise = self.sensors.offset_counts, self.sensors.noise_counts
         for sample in range(max(self._sample, last - memory + 1), last + 1):
             load = np.asarray(self.sensors.scene(self._time_ns(sample) * 1e-9), float) * self._per_load
-            if not self._noise:
-                self._noise = self._random.standard_normal((NOISE_SAMPLES, len(self._zero)))[::-1].tolist()
+            if not self._noise:  # drawn for many samples at once, which costs as much as for a few
+                self._noise = self._random.standard_normal((256, len(self._zero)))[::-1].tolist()
             counts = [
                 min(max(one + offset + chance * noise, -most), most)
                 for one, chance, most in zip(load.ravel().tolist(), self._noise.pop(), self._saturation, strict=True)

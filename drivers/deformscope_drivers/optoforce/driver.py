@@ -45,10 +45,6 @@ def _double(config: OptoforceConfig, scene: Scene | None) -> Double:
     return OptoforceDouble(Sensors(kind, lambda time_s: load(time_s)[:axes], sensitivities))
 
 
-def _lacks(config: OptoforceConfig) -> str:
-    return "" if config.sensitivities else "its sensitivity, for forces in newtons (the sensor's report)"
-
-
 def _complete(config: OptoforceConfig) -> OptoforceConfig:
     return config if config.sensitivities else replace(config, sensitivity=OMD_20_SE_40N)
 
@@ -59,7 +55,7 @@ DRIVER = DeviceDriver(
     Optoforce,
     double=_double,
     redecoder=OptoforceAgain,
-    lacks=_lacks,
+    lacks=lambda config: "" if config.sensitivities else "its sensitivity, for forces in newtons (the sensor's report)",
     complete=_complete,
     probed=True,
 )
