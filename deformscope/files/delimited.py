@@ -300,7 +300,7 @@ def _of_numbers(block: Sequence[Sequence[str]]) -> list[int]:
 def _form_rows(block: Sequence[Sequence[str]]) -> int:
     """How many of the first rows are a form above the table, as of a test machine: texts and numbers, and below them a
     row with a name for each column of numbers."""
-    parts = [[row[one] for one in _of_numbers(block)] for row in block]
+    parts = list(zip(*([row[at] for row in block] for at in _of_numbers(block)), strict=True))
     named = [
         at for at, part in enumerate(parts) if part and not any(_is_missing(one) or _is_value(one) for one in part)
     ]

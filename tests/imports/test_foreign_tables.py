@@ -12,6 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from deformscope.cli import main
+from deformscope.files import delimited
 from deformscope.files.delimited import form_of, moment_ns
 from deformscope.files.table_file import read_table
 from deformscope.frames import WrenchFrame
@@ -349,14 +350,19 @@ def test_rows_of_other_widths_are_no_table(blocks: tuple[int, ...], tmp_path: Pa
     assert said.count("\n") <= 5
 
 
-def test_a_form_is_the_same_whatever_the_first_lines_hold() -> None:
-    """Rows after many lines of text, and tables longer than what is looked at."""
+def test_a_form_is_the_same_whatever_the_first_lines_hold(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows after many lines of text, and tables longer than what is looked at; columns are judged once, not at each
+    row."""
+    judged: list[object] = []
+    whole = delimited._of_numbers
+    monkeypatch.setattr(delimited, "_of_numbers", lambda block: judged.append(block) or whole(block))  # type: ignore[func-returns-value]
     for before in (0, 1, 30, 300):
         preface = "".join(f"line {at}; text, {at}\n" for at in range(before))
         text = (preface + written(";", ",") + "0,5;1,0;2,0;3,0\n" * 20_000).encode()
         found = form_of(io.BytesIO(text))
         assert (found.separator, found.point, found.names, found.before) == (";", ",", NAMES, before)
         assert found.end == len(text)
+    assert len(judged) <= 4 * 2 * len(delimited.SEPARATORS)
 
 
 UNITS_TO_N = {"N": 1.0, "mN": 1e-3, "kN": 1e3, "gf": 9.80665e-3, "kgf": 9.80665, "lbf": 4.4482216152605}
