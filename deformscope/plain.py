@@ -1,6 +1,7 @@
 """Values of JSON's types, for results that are written and for results that are recorded."""
 
 import dataclasses
+import math
 from pathlib import Path
 from typing import Any, TypeAlias, cast
 
@@ -13,7 +14,7 @@ def plain(value: object) -> object:
     if value is None or isinstance(value, bool | int | str):
         return value
     if isinstance(value, float):
-        return float(value) if value - value == 0.0 else None
+        return float(value) if math.isfinite(value) else None
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
     if isinstance(value, dict):

@@ -555,7 +555,7 @@ class Result:
 
 def test_json_is_plain(tmp_path: Path) -> None:
     result = Result(math.nan, {"aee": np.array([1.0, math.inf]), "n": np.int64(3), "ok": np.bool_(True)}, Path("a"))
-    common.write_json([result, (np.float32(0.5), None)], str(tmp_path / "r.json"))
+    common.write_json([result, (np.float32(0.5), np.float64(math.inf))], str(tmp_path / "r.json"))
     text = (tmp_path / "r.json").read_text()
     assert text.endswith("\n")
     assert json.loads(text) == [

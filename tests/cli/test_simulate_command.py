@@ -165,10 +165,13 @@ def test_a_target_that_hangs_is_ended_by_the_time_limit(folder: Path, monkeypatc
     assert "--limit-s" in capsys.readouterr().err
 
 
-def test_the_time_limit_leaves_the_best_fit_so_far(folder: Path, monkeypatch: Patch, capsys: Capture) -> None:
-    """A run takes .7 s. All pokes are pressed once more with what was fitted until then."""
-    monkeypatch.setenv("FAKE_TARGET", "slow")
-    assert main(command(folder, "--limit-s", "4", "--json", "-")) == 0
+@pytest.mark.parametrize(("pace", "limit_s"), [("slow", "4"), ("", "0.001")])
+def test_the_time_limit_leaves_the_best_fit_so_far(
+    pace: str, limit_s: str, folder: Path, monkeypatch: Patch, capsys: Capture
+) -> None:
+    """A slow run takes .7 s. All pokes are pressed once more with what was fitted until then, which may be nothing."""
+    monkeypatch.setenv("FAKE_TARGET", pace)
+    assert main(command(folder, "--limit-s", limit_s, "--json", "-")) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["converged"] is False
     assert told["stable_timestep_s"] is None

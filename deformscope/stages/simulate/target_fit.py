@@ -154,7 +154,7 @@ def fit_target(
 
     def run(vector: FloatArray) -> _Run:
         nonlocal done
-        answers = press(TargetParameters.of(vector), pokes)
+        answers = press(TargetParameters.of(vector) if errors else start, pokes)  # the caller may know those of start
         done += 1
         note(done, total)
         return _Run(answers, *_residuals(mesh, pokes, near, answers))
