@@ -26,7 +26,6 @@ from deformscope.cli import main
 from deformscope.cli.common import EXIT_LOSSES
 from deformscope.errors import InputError
 from deformscope.executor.local import HereWorker
-from deformscope.file_io import sample_path
 from deformscope.recording.ledger import add_discard, read_discards
 from tests.cases import Capture, Patch, one_line, slow
 from tests.executor.test_tasks import paths_of_tests
@@ -34,22 +33,34 @@ from tests.patience import PATIENCE_S
 from tests.test_imports import ROOT
 
 SHIPPED = ROOT / "recordings"
-PAIR = sample_path("pair") / "pair.npz"
 NOBODY = "a Ray cluster that answers" if importlib.util.find_spec("ray") is not None else "pip install"
 FIT = ["calibrate", "beta", "--method", "gradient"]
 
 
 @pytest.fixture(scope="module")
-def pairs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def pair(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small one: what is swept does not count."""
+    from deformscope.stages.msm.solver import Msm  # not in the processes that take their functions from here
+    from tests.stages.bodies import pushed
+
+    body = pushed((4, 5), np.random.default_rng(2))
+    moved = Msm(body.rest, body.clusters(3), body.held).relax(body.held_position, np.array([0.6])).position[0]
+    path = tmp_path_factory.mktemp("pair") / "pair.npz"
+    np.savez(path, rest=body.rest, deformed=moved, held=body.held, shape=body.shape, noise_m=1e-4)
+    return path
+
+
+@pytest.fixture(scope="module")
+def pairs(pair: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two pairs that differ, one of them twice, and a file that is none."""
     folder = tmp_path_factory.mktemp("pairs")
     (folder / "more").mkdir()
-    shutil.copy(PAIR, folder / "p1.npz")
-    with np.load(PAIR) as pair:
-        rest, deformed = pair["rest"], pair["deformed"]
-        arrays = {name: pair[name] for name in pair.files} | {"deformed": rest + 0.9 * (deformed - rest)}
+    shutil.copy(pair, folder / "p1.npz")
+    with np.load(pair) as file:
+        arrays = dict(file)
+    arrays["deformed"] = arrays["rest"] + 0.9 * (arrays["deformed"] - arrays["rest"])
     np.savez(folder / "p2.npz", **arrays)
-    shutil.copy(PAIR, folder / "more" / "same.npz")
+    shutil.copy(pair, folder / "more" / "same.npz")
     (folder / "p10.npz").write_text("no pair")
     (folder / "notes.txt").write_text("no source")
     return folder
@@ -92,9 +103,11 @@ def test_each_file_is_computed_once_in_each_way(swept: tuple[Path, int, dict[str
     assert by["p1.npz", 2]["beta_low"] <= by["p1.npz", 2]["beta"] <= by["p1.npz", 2]["beta_high"]
 
 
-def test_numbers_are_those_of_the_command_itself(swept: tuple[Path, int, dict[str, Any]], tmp_path: Path) -> None:
+def test_numbers_are_those_of_the_command_itself(
+    swept: tuple[Path, int, dict[str, Any]], pair: Path, tmp_path: Path
+) -> None:
     alone = tmp_path / "alone.json"
-    assert main([*FIT, str(PAIR), "--cluster-size", "3", "--viewer", "none", "--json", str(alone)]) == 0
+    assert main([*FIT, str(pair), "--cluster-size", "3", "--viewer", "none", "--json", str(alone)]) == 0
     lines = [json.loads(line) for line in (swept[0] / "tasks.jsonl").read_text().splitlines()]
     (mine,) = [one for one in lines if one["source"].endswith("p1.npz") and one["settings"] == {"cluster_size": 3}]
     expected = json.loads(alone.read_text())
@@ -121,10 +134,10 @@ def test_the_same_line_tries_again_what_failed_alone(swept: tuple[Path, int, dic
 
 @pytest.mark.usefixtures("here")
 def test_other_settings_are_other_tasks_and_a_moved_file_is_none(
-    swept: tuple[Path, int, dict[str, Any]], pairs: Path, tmp_path: Path
+    swept: tuple[Path, int, dict[str, Any]], pair: Path, tmp_path: Path
 ) -> None:
     shutil.copytree(swept[0], tmp_path / "out")
-    shutil.copy(PAIR, tmp_path / "renamed.npz")
+    shutil.copy(pair, tmp_path / "renamed.npz")
     found = [
         sweep(tmp_path, tmp_path / "out", *flags, "--match", "renamed*", "--workers", "1")[1]["computed"]
         for flags in (["--vary", "cluster-size=2"], ["--vary", "cluster-size=2|3", "--send"], [])
@@ -136,8 +149,8 @@ def test_other_settings_are_other_tasks_and_a_moved_file_is_none(
 
 
 @pytest.mark.usefixtures("here")
-def test_files_that_a_killed_worker_left_are_made_anew(tmp_path: Path) -> None:
-    shutil.copy(PAIR, tmp_path / "a.npz")
+def test_files_that_a_killed_worker_left_are_made_anew(pair: Path, tmp_path: Path) -> None:
+    shutil.copy(pair, tmp_path / "a.npz")
     out = tmp_path / "out"
     command = [*FIT, "--save", "{key}.npz"]
     assert sweep(tmp_path, out, "--match", "a.npz", command=command)[0] == 0
@@ -190,8 +203,8 @@ def test_a_command_that_ends_with_a_warning_is_marked(tmp_path: Path) -> None:
     assert "1 of them with an exit status that is not 0" in (tmp_path / "out" / "index.html").read_text()
 
 
-def test_a_function_in_a_worker_has_one_thread(tmp_path: Path) -> None:
-    assert ds.sweep(threads_of, [PAIR], out=tmp_path, workers=1).table["threads"].to_pylist() == [1]
+def test_a_function_in_a_worker_has_one_thread(pair: Path, tmp_path: Path) -> None:
+    assert ds.sweep(threads_of, [pair], out=tmp_path, workers=1).table["threads"].to_pylist() == [1]
 
 
 def threads_of(source: str) -> dict[str, int]:
@@ -328,9 +341,9 @@ def described(source: str, *, about: str) -> dict[str, Any]:
 
 
 @pytest.mark.usefixtures("here")
-def test_a_file_among_the_options_that_changed_is_read_again(tmp_path: Path) -> None:
+def test_a_file_among_the_options_that_changed_is_read_again(pair: Path, tmp_path: Path) -> None:
     about, source = tmp_path / "about.txt", tmp_path / "a.npz"
-    shutil.copy(PAIR, source)
+    shutil.copy(pair, source)
     for words in ("first", "second"):
         about.write_text(words)
         found = ds.sweep(described, [source], out=tmp_path / "out", workers=1, about=str(about))
@@ -341,19 +354,19 @@ def test_a_file_among_the_options_that_changed_is_read_again(tmp_path: Path) -> 
 
 
 @pytest.mark.usefixtures("here")
-def test_a_file_that_is_gone_or_of_any_name_ends_nothing(tmp_path: Path) -> None:
+def test_a_file_that_is_gone_or_of_any_name_ends_nothing(pair: Path, tmp_path: Path) -> None:
     about, odd = tmp_path / "about.txt", tmp_path / os.fsdecode(b"\xff.npz")
     about.write_text("words")
-    shutil.copy(PAIR, odd)
+    shutil.copy(pair, odd)
     sources = [tmp_path / "none.npz", odd]
     found = ds.sweep(described, sources, out=tmp_path / "out", workers=1, send=True, about=str(about))
     assert found.table["status"].to_pylist() == ["failed", "done"]
     assert found.table["source"].to_pylist()[1].endswith("ff.npz")
 
 
-def test_a_function_that_workers_would_not_find_is_refused(tmp_path: Path) -> None:
+def test_a_function_that_workers_would_not_find_is_refused(pair: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="a function of a module"):
-        ds.sweep(lambda source: 1, [PAIR], out=tmp_path)
+        ds.sweep(lambda source: 1, [pair], out=tmp_path)
 
 
 def test_a_ctrl_c_leaves_what_is_done_as_a_table(tmp_path: Path, monkeypatch: Patch) -> None:
