@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import cv2
 import numpy as np
@@ -77,6 +78,11 @@ def motion(scene: Scene, x: Floats, y: Floats, share: float) -> tuple[Floats, Fl
 
 def render(scene: Scene) -> list[Image]:
     """Frames (H, W, 3)."""
+    return [one.copy() for one in rendered(scene)]
+
+
+@cache
+def rendered(scene: Scene) -> list[Image]:
     rng = np.random.default_rng(scene.seed)
     height, width = scene.size
     wall, foam, steel = (

@@ -6,6 +6,7 @@ import pytest
 
 from deformscope.arrays import BoolArray
 from deformscope.stages.see.find_body import FoundBody, find_body, polygon
+from tests.cases import slow
 from tests.stages.see.scenes import Image, Scene, render, truth
 
 WALLED = Scene(jitter=2.0, shadow=0.3, wall=3.0, held=("bottom", "left", "right"))
@@ -48,7 +49,7 @@ def test_a_block_that_is_pulled_by_all_of_a_side_is_held_there() -> None:
     assert overlap(filled(found, scene.size), truth(scene)) > 0.9
 
 
-@pytest.mark.parametrize("times", [0.4, 1.0])
+@pytest.mark.parametrize("times", [0.4, slow(1.0)])
 def test_a_free_side_far_from_the_tool_is_not_held_at_any_size(times: float) -> None:
     """Its motion fades towards it; that of a held side ends there."""
     fading = Scene(block=(60, 130, 330, 170), tool=(240, 80), swell=0.12)
@@ -108,7 +109,7 @@ def test_what_a_camera_does_is_named_with_its_size() -> None:
     assert overlap(filled(found, (360, 480)), truth(Scene())) > 0.9
 
 
-@pytest.mark.parametrize("light", [0.07, 0.04])
+@pytest.mark.parametrize("light", [0.07, slow(0.04)])
 def test_a_video_without_light_is_no_cut(light: float) -> None:
     rng = np.random.default_rng(4)
     images = [light * one + rng.normal(0.0, 4.0, one.shape) for one in render(Scene())]
@@ -139,7 +140,9 @@ def bent(image: Image, share: float) -> Image:
     )
 
 
-@pytest.mark.parametrize(("change", "code"), [(turned, "out-of-plane"), (orbited, "out-of-plane"), (bent, "warped")])
+@pytest.mark.parametrize(
+    ("change", "code"), [slow(turned, "out-of-plane"), (orbited, "out-of-plane"), (bent, "warped")]
+)
 def test_a_camera_that_turns_and_a_picture_that_is_stabilised(change: object, code: str) -> None:
     images = [change(one, index / 5) for index, one in enumerate(render(Scene()))]  # type: ignore[operator]
     assert code in [one.code for one in find_body(images).unfit]

@@ -1,5 +1,6 @@
 """Particles in large pictures, against known motions: as exact as with the whole picture, from a part of it."""
 
+from functools import cache
 from itertools import pairwise
 
 import cv2
@@ -18,16 +19,22 @@ SIZE = 600, 880
 BODY = Rect(180, 120, 440, 300)
 
 
-def block(at: npt.NDArray[np.float64], noise: float = 2.0, seed: int = 0) -> Image:
-    """A speckled block on a still background. at: (2, 3) affine motion from rest to here [px]"""
+@cache
+def scenery() -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    """Speckle of the block, share of it in each pixel, and the background, each at rest."""
     rng = np.random.default_rng(4)
-    height, width = SIZE
     speckle = cv2.GaussianBlur(rng.normal(0, 1, SIZE).astype(np.float32), (0, 0), 2.0)
     speckle = 128 + 40 * np.tanh(1.5 * speckle / speckle.std())
     ground = 120 + 300 * cv2.GaussianBlur(rng.normal(0, 1, SIZE).astype(np.float32), (0, 0), 9.0)
     inside = np.zeros(SIZE, np.float32)
     x, y, wide, high = (int(v) for v in (BODY.x, BODY.y, BODY.width, BODY.height))
     inside[y : y + high, x : x + wide] = 1
+    return speckle, inside, ground
+
+
+def block(at: npt.NDArray[np.float64], noise: float = 2.0, seed: int = 0) -> Image:
+    """A speckled block on a still background. at: (2, 3) affine motion from rest to here [px]"""
+    (height, width), (speckle, inside, ground) = SIZE, scenery()
     moved, share = (cv2.warpAffine(one, at, (width, height), flags=cv2.INTER_LANCZOS4) for one in (speckle, inside))
     picture = share * moved + (1 - share) * ground + np.random.default_rng(seed).normal(0, noise, SIZE)
     return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
