@@ -42,6 +42,7 @@ def rig(tmp_path: Path, monkeypatch: Patch) -> Path:
     return path
 
 
+@pytest.mark.slow  # a rig file below is certified and replayed by the same lines
 def test_a_hidden_rig_has_its_bias_in_the_interval(tmp_path: Path, capsys: Capture, monkeypatch: Patch) -> None:
     """Nothing of what was drawn reaches the result but by the touches; the recording has it beside."""
     found, recording = tmp_path / "found.json", tmp_path / "c.rrd"

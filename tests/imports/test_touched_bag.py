@@ -43,6 +43,7 @@ def test_stages_run_on_what_is_imported_and_are_replayed(tmp_path: Path, capfd: 
     assert "identical" in "".join(capfd.readouterr())
 
 
+@pytest.mark.slow  # recorded touches become a map in `tests/experiments/explore/test_recorded_touches.py` too
 def test_recorded_touches_become_a_map(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
