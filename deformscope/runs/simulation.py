@@ -311,7 +311,7 @@ class _Runs:
         """Raises Stopped where time or a person ended the fit, unless `anyway`; InputError with the target's error."""
         left = [one for one in pokes if (parameters, one.name) not in self._known]
         try:
-            for poke, answer in zip(left, left and self._press(parameters, left, anyway=anyway), strict=True):
+            for poke, answer in zip(left, self._press(parameters, left, anyway=anyway) if left else [], strict=True):
                 self._known[parameters, poke.name] = answer
         except TargetFailed as error:
             target = self._config.target

@@ -355,7 +355,7 @@ def test_a_form_is_the_same_whatever_the_first_lines_hold(monkeypatch: pytest.Mo
     row."""
     judged: list[object] = []
     whole = delimited._of_numbers
-    monkeypatch.setattr(delimited, "_of_numbers", lambda block: judged.append(block) or whole(block))  # type: ignore[func-returns-value]
+    monkeypatch.setattr(delimited, "_of_numbers", lambda block: judged.append(block) or whole(block))
     for before in (0, 1, 30, 300):
         preface = "".join(f"line {at}; text, {at}\n" for at in range(before))
         text = (preface + written(";", ",") + "0,5;1,0;2,0;3,0\n" * 20_000).encode()
