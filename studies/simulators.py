@@ -127,7 +127,7 @@ class SimulatorsConfig(StudyOptions):
     python: Annotated[Path | None, flags.one_word("PYTHON", Path), flags.unset] = None
     """The interpreter with it; default: this one."""
     surprises: bool = False
-    """Show too what one would not guess of MuJoCo."""
+    """Show too what one would not guess of the simulator."""
 
 
 def trials(options: SimulatorsConfig) -> list[Trials[SlabCase, SlabOutcome]]:
@@ -150,19 +150,19 @@ def report(options: SimulatorsConfig, seconds: float, outcomes: Sequence[SlabOut
     rows = [_row(one) for one in outcomes]
     version = outcomes[0].found["version"] if outcomes else ""
     tables = [Table(rows, names, f"{options.target} {version}, {seconds:.0f} s")]
-    guesses = surprises(options.python) if options.surprises else ()
+    guesses = surprises(options.python, options.target) if options.surprises else ()
     if guesses:
-        tables.append(Table(guesses, ("what", "one would guess", "seen"), f"MuJoCo {version}"))
+        tables.append(Table(guesses, ("what", "one would guess", "seen"), f"{options.target} {version}"))
     return StudyReport(tables, {"slabs": outcomes, "surprises": guesses})
 
 
-def surprises(python: Path | None) -> list[tuple[str, ...]]:
-    """What one would not guess of MuJoCo, what one would guess, and what was seen."""
-    script = Path(__file__).with_name("mujoco_surprises.py")
+def surprises(python: Path | None, target: Target = "mujoco") -> list[tuple[str, ...]]:
+    """What one would not guess of a simulator, what one would guess, and what was seen."""
+    script = Path(__file__).with_name(f"{target}_surprises.py")
     found = subprocess.run([python or sys.executable, "-I", script], capture_output=True, text=True, check=False)
     if found.returncode:
         said = (found.stderr.strip().splitlines() or ["no message"])[-1]
-        raise InputError("MuJoCo to answer", said, "--python with mujoco", where=python)
+        raise InputError(f"{target} to answer", said, f"--python with {target}", where=python)
     return [tuple(row) for row in json.loads(found.stdout.strip().splitlines()[-1])]
 
 

@@ -274,7 +274,12 @@ def test_other_engines_are_imported_in_their_own_processes_alone() -> None:
         name for name, path in modules().items() if any(within(to, e) for to in imported(path) for e in engines)
     ]
     children = [f"deformscope.simulators.{engine}_child" for engine in engines]
-    assert set(importers) <= {"studies.engines.peer_process", "studies.mujoco_surprises", *children}
+    assert set(importers) <= {
+        "studies.engines.peer_process",
+        "studies.mujoco_surprises",
+        "studies.newton_surprises",
+        *children,
+    }
 
 
 def _prints(script: str, expected: str) -> None:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from deformscope.config.simulate import Target
 from deformscope.errors import InputError
 from studies.simulators import CASES, SimulatorsConfig, SlabCase, SlabOutcome, report, surprises, trials, try_slab
 from tests.cli.test_simulate_command import WITH_TARGETS, has
@@ -42,13 +43,16 @@ def test_an_unseen_depth_is_within_5_percent_after_the_fit() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not has("mujoco"), reason="needs mujoco, or DEFORMSCOPE_TARGETS_PYTHON with it")
-def test_the_surprises_are_those_in_docs() -> None:
+@pytest.mark.parametrize(("target", "count"), [("mujoco", 5), ("newton", 6)])
+def test_the_surprises_are_those_in_docs(target: Target, count: int) -> None:
+    if not has(target):
+        pytest.skip(f"needs {target}, or DEFORMSCOPE_TARGETS_PYTHON with it")
     docs = (Path(__file__).parents[2] / "docs" / "results" / "simulators.md").read_text(encoding="utf-8")
-    rows = surprises(Path(WITH_TARGETS))
-    assert len(rows) == 5
-    for what, guess, _ in rows:
+    rows = surprises(Path(WITH_TARGETS), target)
+    assert len(rows) == count
+    for what, guess, seen in rows:
         assert f"| {what} | {guess} |" in docs
+        assert target == "mujoco" or f"| {seen} |" in docs
 
 
 def test_without_the_target_its_surprises_are_one_line(tmp_path: Path) -> None:
