@@ -6,6 +6,7 @@ Chromium. On a machine with other work the page of the rig has lost frames: it i
 """
 
 import argparse
+import os
 import subprocess
 import sys
 import tempfile
@@ -28,10 +29,15 @@ WITH_LOSSES = 3
 SIZE, BAR_PX, FILM_PX = (1920, 1080), 36, (800, 450)
 """The window, and at its top the viewer's own bar, which is cut off."""
 SLAB = ("calibrate", "beta", "sample:poke", "--thickness-m", "0.05", "--save", "slab.npz")
+PRESSED = ((0.19, 0.12), 2.0), ((0.2, 0.125), 3.0), ((0.19, 0.12), 4.0)
+"""Place [m] and force [N] of the pokes that MuJoCo repeats."""
+BODY = ("simulate", "slab.npz", "--in", "mujoco", "--out", "body", "--against", "poke0.npz", "poke1.npz", "poke2.npz")
+TARGET = tuple(f"--python={one}" for one in (os.environ.get("DEFORMSCOPE_TARGETS_PYTHON"),) if one)
 SQUEEZE = ("squeeze", "lab:containers", "--content", "rice", "--container", "box-01")
 WINDOWS: dict[str, tuple[Path, tuple[tuple[str, ...], ...], dict[str, Any]]] = {
     "tension": (RECORDINGS / "tension.png", (("calibrate", "beta", "sample:tension"),), {}),
     "predict": (IMAGES / "predict.png", (SLAB, ("predict", "slab.npz", "--against", "unseen.npz")), {"frame": 0}),
+    "simulate": (IMAGES / "simulate.png", (SLAB, (*BODY, *TARGET)), {"frame": 1}),
     "explore": (RECORDINGS / "explore.png", (("demo",),), {"touch": 12}),
     "bench": (RECORDINGS / "bench.png", (("record", "lab:bench", "--seconds", "10"),), {"session_s": 9.0}),
     "squeeze": (IMAGES / "squeeze.png", (SQUEEZE,), {"session_s": 5.0}),
@@ -45,6 +51,8 @@ def window(name: str) -> None:
     with tempfile.TemporaryDirectory() as folder:
         run = Path(folder) / "run.rrd"
         (Path(folder) / "unseen.npz").write_bytes(poke((0.19, 0.12), 4.0))
+        for number, (at, force_n) in enumerate(PRESSED):
+            (Path(folder) / f"poke{number}.npz").write_bytes(poke(at, force_n))
         for words in commands:
             recorded = ("--record", str(run), "--viewer", "none") if words is commands[-1] else ()
             done = subprocess.run([sys.executable, "-m", "deformscope", *words, *recorded], cwd=folder, check=False)

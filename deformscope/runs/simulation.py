@@ -210,7 +210,13 @@ class SimulationResult(SourceResult):
         left.plot(1e3 * poke.depth, one.answer.force, "s--", ms=4, color=TARGET, label=self.target)
         if one.msm is not None and one.msm.force is not None:
             left.plot(1e3 * seen.depth, one.msm.force, "o", ms=4, color=SIMULATED, label="MSM")
-        left.set(xlabel="depth [mm]", ylabel="force [N]", xlim=(0.0, None), ylim=(0.0, None))
+        for other in self.pokes:  # faint: all pokes in one plot
+            shade = {"color": MEASURED, "alpha": 0.4}
+            left.plot(1e3 * other.poke.depth, other.poke.force, "x:", **shade)
+            left.plot(1e3 * other.poke.depth, other.answer.force, "s:", ms=3, **shade | {"color": TARGET})
+        deepest = max(float(other.poke.depth.max()) for other in self.pokes)
+        most = max(float(np.max([other.poke.force, other.answer.force])) for other in self.pokes)
+        left.set(xlabel="depth [mm]", ylabel="force [N]", xlim=(0.0, 1.1e3 * deepest), ylim=(0.0, 1.1 * most))
         aside = np.abs(seen.points[:, 1] - seen.at[1])
         near = np.flatnonzero(aside <= aside.min() + 0.25 * self.mesh.size[2] / self.mesh.cells[2])
         near = near[np.argsort(seen.points[near, 0])]
@@ -220,10 +226,11 @@ class SimulationResult(SourceResult):
         for values, mark, colour, name in moved:
             if values is not None:
                 right.plot(along, 1e3 * values[near, 2], mark, ms=4, color=colour, label=name)
-        right.set(xlabel="along x from the tip's axis [mm]", ylabel="height change [mm]")
+        low, high = 1e3 * (self.mesh.axes[0][[0, -1]] - seen.at[0])
+        right.set(xlabel="along x from the tip's axis [mm]", ylabel="height change [mm]", xlim=(low, high))
         for axes in (left, right):
             axes.grid(alpha=0.3)
-            axes.legend(fontsize=8)
+            axes.legend(fontsize=8, loc="lower right")
         return Figure(png_of(figure, 120), f"{poke.name}: force over depth, and a cut through the dent")
 
 
