@@ -231,7 +231,8 @@ class SimulationResult(SourceResult):
         for axes in (left, right):
             axes.grid(alpha=0.3)
             axes.legend(fontsize=8, loc="lower right")
-        return Figure(png_of(figure, 120), f"{poke.name}: force over depth, and a cut through the dent")
+        figure.suptitle(poke.name, fontsize=9)  # of the picture: a view has one name for all frames
+        return Figure(png_of(figure, 120), "force over depth, and a cut through the dent")
 
 
 def simulate(config: SimulateConfig, progress: Progress | None = None) -> SimulationResult:
