@@ -51,6 +51,7 @@ NUMPY = "NumPy, batched SVD"
 PHYSICS = {
     "mujoco": "other physics: tetrahedra with linear elasticity, explicit",
     "newton": "other physics: tetrahedra under XPBD, 1 iteration, looking for collisions",
+    "newton VBD": "other physics: tetrahedra under VBD, 1 iteration, looking for collisions",
 }
 
 
@@ -64,7 +65,8 @@ class SpeedConfig(StudyOptions):
     ] = None
     """Measure only these, of step, sweep, theta, surface, cold and memory."""
     peers: bool = False
-    """Run other engines too, on the CPU: pypbd, and mujoco and newton if installed (deformscope[peers])."""
+    """Run other engines too: pypbd, and mujoco and newton if installed (deformscope[peers]); with --device cuda newton
+    alone."""
     quick: bool = False
     """Smaller and fewer cases."""
     sizes: flags.SizesFlag = None
@@ -80,7 +82,7 @@ def report(options: SpeedConfig, seconds: float) -> StudyReport:
     device = pick_device(options.device)
     plan = BenchPlan(device, options.sizes or default_sizes("cpu", options.quick), options.repeats, options.quick)
     check(plan)
-    if options.peers:
+    if options.peers and plan.cpu:
         require_peers()
     rows: list[TimingRow] = []
     with status_line() as note:
@@ -132,9 +134,9 @@ def _stepped(plan: BenchPlan, note: Note, body: BenchBody, peers: bool) -> Itera
             what = f"{counted(body.particles)}, clusters of {size}^3"
             ours = Contestant(what, OURS, stepping, "ms/step", beside=contestants[0] if contestants else None)
             contestants += [ours, _numpy(plan, body, size, ours)]
-        for engine in _peers(body) if peers else ():
+        for engine in _peers(plan, body) if peers else ():
             try:
-                peer = stack.enter_context(Peer(engine, body.shape[0]))
+                peer = stack.enter_context(Peer(engine, body.shape[0], plan.device))
             except PeerFailed as error:
                 yield TimingRow("step", contestants[0].what, engine, "ms/step", (), note=f"failed: {error}")
                 continue
@@ -142,9 +144,12 @@ def _stepped(plan: BenchPlan, note: Note, body: BenchBody, peers: bool) -> Itera
         yield from compare("step", contestants, plan.rounds_of_steps)
 
 
-def _peers(body: BenchBody) -> list[str]:
-    context = [name for name in PHYSICS if find_spec(name) is not None] if body.particles == CONTEXT_AT else []
-    return [*(["pypbd"] if body.particles <= PEER_MOST else []), *context]
+def _peers(plan: BenchPlan, body: BenchBody) -> list[str]:
+    installed = [name for name in PHYSICS if find_spec(name.split()[0]) is not None]
+    few = body.particles <= PEER_MOST
+    if not plan.cpu:
+        return [name for name in installed if name.startswith("newton") and few]
+    return [*(["pypbd"] if few else []), *(installed if body.particles == CONTEXT_AT else [])]
 
 
 def _numpy(plan: BenchPlan, body: BenchBody, size: int, ours: Contestant) -> Contestant:
@@ -172,7 +177,8 @@ def _peer(plan: BenchPlan, peer: Peer, ours: Contestant, unit: str = "ms/step") 
     kept, wanted = peer.facts.get("constraints_kept"), peer.facts.get("clusters")
     if kept != wanted:
         note += f"; keeps {kept} of {wanted} constraints"
-    who = f"{peer.engine} {peer.facts['version']}"
+    name, *solver = peer.engine.split()
+    who = " ".join([name, str(peer.facts["version"]), *solver])
     return Contestant(ours.what, who, lambda: peer.steps(count), unit, beside=ours, facts=peer.facts, note=note)
 
 
@@ -183,7 +189,7 @@ def _at_once(plan: BenchPlan, note: Note, peers: bool) -> Iterator[TimingRow]:
         note(f"sweep: {ours.what}")
         with contextlib.ExitStack() as stack:
             contestants = [ours]
-            if peers:
+            if peers and plan.cpu:
                 contestants.append(_peer(plan, stack.enter_context(Peer("pypbd", MIDDLE)), ours, "steps/s"))
             yield from compare("sweep", contestants, plan.rounds_of_steps)
 

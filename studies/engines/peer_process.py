@@ -1,4 +1,4 @@
-"""The other engines, each in a process of its own: `python -m studies.engines.peer_process ENGINE SIDE`.
+"""The other engines, each in a process of its own: `python -m studies.engines.peer_process ENGINE SIDE DEVICE`.
 
 A child process, because pypbd is one global simulation and takes its number of threads from the environment, and
 because these libraries print, change warp's settings and may crash. Lines on stdout: one JSON object about the body
@@ -113,9 +113,9 @@ def mujoco(side: int) -> Built:
     return {"degrees_of_freedom": int(model.nv)}, start, step, position
 
 
-def newton(side: int) -> Built:
-    """A soft grid of tetrahedra under XPBD, one iteration a step, captured as a graph, as in deformscope; its top
-    starts pressed."""
+def newton(side: int, solver_name: str = "SolverXPBD", device: str = "cpu") -> Built:
+    """A soft grid of tetrahedra under XPBD or VBD, one iteration a step, captured as a graph, as in deformscope; its
+    top starts pressed."""
     import newton as nt
     import warp as wp
 
@@ -139,8 +139,10 @@ def newton(side: int) -> Built:
         add_surface_mesh_edges=False,
         particle_radius=0.1 * spacing_m,  # its default pushes these particles apart
     )
-    model: Any = builder.finalize(device="cpu")
-    solver = nt.solvers.SolverXPBD(model, iterations=1)
+    if solver_name == "SolverVBD":
+        builder.color()
+    model: Any = builder.finalize(device=device)
+    solver = getattr(nt.solvers, solver_name)(model, iterations=1)
     state, other, control = model.state(), model.state(), model.control()
     rest = state.particle_q.numpy()
     pressed = rest.copy()
@@ -152,7 +154,7 @@ def newton(side: int) -> Built:
             solver.step(before, after, control, None, dt)
 
     two()
-    with wp.ScopedCapture(device="cpu") as capture:
+    with wp.ScopedCapture(device=device) as capture:
         two()
 
     def start() -> None:
@@ -162,6 +164,7 @@ def newton(side: int) -> Built:
     def step(steps: int) -> None:
         for _ in range(-(-steps // 2)):
             wp.capture_launch(capture.graph)
+        wp.synchronize_device(device)
 
     def position() -> FloatArray:
         return np.asarray(state.particle_q.numpy(), dtype=np.float64) / spacing_m
@@ -169,19 +172,28 @@ def newton(side: int) -> Built:
     return {"tetrahedra": int(model.tet_count), "steps_in_twos": True}, start, step, position
 
 
-ENGINES: dict[str, Callable[[int], Built]] = {"pypbd": pypbd, "mujoco": mujoco, "newton": newton}
+ENGINES: dict[str, Callable[[int, str], Built]] = {
+    "pypbd": lambda side, _device: pypbd(side),
+    "mujoco": lambda side, _device: mujoco(side),
+    "newton": lambda side, device: newton(side, "SolverXPBD", device),
+    "newton VBD": lambda side, device: newton(side, "SolverVBD", device),
+}
 
 
-def main(engine: str, side: int) -> None:
-    """Build, report, and step on request."""
+def main(engine: str, side: int, device: str) -> None:
+    """Build, report, and step on request. device: of the engines that have a choice"""
     lines = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # whatever the engine prints
-    facts, start, step, position = ENGINES[engine](side)
+    facts, start, step, position = ENGINES[engine](side, device)
     start()
     before = position()
     step(2)
     moved = float(np.sqrt(np.mean((position() - before) ** 2)))
-    print(json.dumps({"version": version(engine), "moved_spacings_rms": moved, **facts}), file=lines, flush=True)
+    print(
+        json.dumps({"version": version(engine.split()[0]), "moved_spacings_rms": moved, **facts}),
+        file=lines,
+        flush=True,
+    )
     for line in sys.stdin:
         start()
         cpu_s, wall_s = time.process_time(), time.perf_counter()
@@ -191,4 +203,4 @@ def main(engine: str, side: int) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], int(sys.argv[2]))
+    main(sys.argv[1], int(sys.argv[2]), sys.argv[3])

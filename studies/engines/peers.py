@@ -29,16 +29,16 @@ def require_peers() -> None:
 class Peer:
     """One engine with a cube of side^3 particles, on one thread. `with Peer("pypbd", 11) as peer: peer.steps(100)`.
 
-    facts: its description of the body that it built"""
+    device: where newton runs; facts: its description of the body that it built"""
 
-    def __init__(self, engine: str, side: int) -> None:
-        self.engine, self.side = engine, side
+    def __init__(self, engine: str, side: int, device: str = "cpu") -> None:
+        self.engine, self.side, self.device = engine, side, device
         self.facts: dict[str, object] = {}
 
     def __enter__(self) -> "Peer":
         self._stderr = tempfile.TemporaryFile("w+")
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "studies.engines.peer_process", self.engine, str(self.side)],
+            [sys.executable, "-m", "studies.engines.peer_process", self.engine, str(self.side), self.device],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._stderr,
