@@ -181,7 +181,7 @@ ENGINES: dict[str, Callable[[int, str], Built]] = {
 
 
 def main(engine: str, side: int, device: str) -> None:
-    """Build, report, and step on request. device: of the engines that have a choice"""
+    """Build, report, and step on request. device: "cpu" or "cuda:0", for newton."""
     lines = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # whatever the engine prints
     facts, start, step, position = ENGINES[engine](side, device)
