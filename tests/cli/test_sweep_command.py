@@ -394,7 +394,7 @@ def test_a_full_disk_ends_it_in_one_line(room: int, pairs: Path, tmp_path: Path)
     limited = f"import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, ({room}, {room}))\n"
     limited += "from deformscope.cli import main; sys.exit(main(sys.argv[1:]))"
     flags = ["--match", "p1.npz", "--workers", "1", "--out", str(tmp_path / "out"), "--", *FIT]
-    command = [sys.executable, "-c", limited, "sweep", str(pairs), *flags]
+    command = [sys.executable, "-B", "-c", limited, "sweep", str(pairs), *flags]
     ran = subprocess.run(
         command, env=paths_of_tests(), capture_output=True, text=True, timeout=2 * PATIENCE_S, check=False
     )

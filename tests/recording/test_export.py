@@ -593,7 +593,7 @@ sys.exit(main(sys.argv[1:]))
 @pytest.mark.parametrize("to", slow_but(["csv"], FORMATS))
 def test_a_file_that_cannot_grow_ends_in_one_line(to: str, tmp_path: Path) -> None:
     asked = ["export", str(BENCH), "--to", to, "--out", str(tmp_path / "out")]
-    done = subprocess.run([sys.executable, "-c", LIMITED, *asked], capture_output=True, text=True, timeout=300)
+    done = subprocess.run([sys.executable, "-B", "-c", LIMITED, *asked], capture_output=True, text=True, timeout=300)
     assert done.returncode == 2, done.stderr
     assert "got file too large" in done.stderr.lower() or "disk full" in done.stderr, done.stderr
     assert "Traceback" not in done.stderr
