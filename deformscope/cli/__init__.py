@@ -83,6 +83,9 @@ COMMANDS: dict[str, Command] = {
     "calibrate arm": _command(
         "measure the arm's compliance, on something rigid", "ArmConfig", "calibrate_setup", "arm"
     ),
+    "calibrate wrench": _command(
+        "find what an arm's own force is worth, without contact", "WrenchConfig", "calibrate_setup", "arm"
+    ),
     "certify": _command("find a rig's bias on a sample of known modulus", "CertifyConfig", "calibrate_setup", "arm"),
     "arm where": _command("the arm's pose: joints, end and tip", "WhereConfig", "arm", "where"),
     "arm files": _command("write the files for an arm's controller", "FilesConfig", "arm", "files"),

@@ -4,7 +4,7 @@ and write them into its file with intervals."""
 import cv2
 
 from deformscope.cli.common import quiet_warp, recorder_of, say, show, write_file, write_json
-from deformscope.config import ArmConfig, CameraConfig, CertifyConfig, SetupOptions
+from deformscope.config import ArmConfig, CameraConfig, CertifyConfig, SetupOptions, WrenchConfig
 from deformscope.log.layout import RIG
 from deformscope.rig.rig_edit import lines_of
 from deformscope.rig.rig_file import load_rig
@@ -38,11 +38,12 @@ def run(config: SetupOptions) -> None:
     write_json({"kind": found.kind, **found.found}, config.output.json)
 
 
-def arm(config: ArmConfig | CertifyConfig) -> None:
-    """Touch a rigid block, or a sample of known modulus; print the result, and write it into the rig file."""
+def arm(config: ArmConfig | WrenchConfig | CertifyConfig) -> None:
+    """Touch a rigid block, a sample of known modulus, or nothing; print the result, and write it into the rig file."""
     quiet_warp()
     found = touch_known(config)
     show(found.findings(config.rig))
-    if isinstance(config, CertifyConfig) and not config.save:
+    unwritten = isinstance(config, WrenchConfig) and (not config.write or config.rig.startswith("lab:"))
+    if unwritten or (isinstance(config, CertifyConfig) and not config.save):
         print(lines_of(found.values), flush=True)
     write_json({"kind": found.kind, **found.found}, config.output.json)

@@ -36,6 +36,7 @@ EXAMPLES: dict[str, str] = {
     "calibrate tool": _PLACED + "deformscope calibrate force rig.toml\ndeformscope calibrate tool rig.toml",
     "calibrate time": _DOUBLES + "deformscope calibrate time rig.toml",
     "calibrate arm": "deformscope calibrate arm lab:homogeneous-rigid",
+    "calibrate wrench": "deformscope calibrate wrench lab:homogeneous-60 --places 6",
     "certify": "deformscope certify lab:block-162 --sample lab-block --touches 1",
     "arm where": "deformscope arm where sample:rig",
     "arm files": _KUKA + "deformscope arm files kuka.toml --out controller",

@@ -45,6 +45,7 @@ from deformscope.config.rigs import (
     ReportConfig,
     RigRunOptions,
     VerifyConfig,
+    WrenchConfig,
 )
 from deformscope.config.setup import (
     CameraConfig,

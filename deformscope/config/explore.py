@@ -102,6 +102,9 @@ class ExploreConfig(ExploreFlags, RecordedOptions):
     arm: Annotated[str, arg(metavar="DRIVER")] = ""
     """The arm of a simulated scene: the double of this driver of a rig file; default: an arm whose joints
     measure torques."""
+    wrench: flags.WrenchFlag = None
+    """Measure forces by the simulated arm's own report, with the errors in this file, in place of a force sensor:
+    the lines that `deformscope calibrate wrench lab:NAME --arm DRIVER` prints."""
     camera: Literal["plain", "primesense", "realsense"] = "plain"
     """Error model of the simulated depth camera: noise alone, or disparity of a PrimeSense or a RealSense D435.
     Disparity has steps, bleeding edges, shadows, and no depth at grazing angles."""
@@ -136,6 +139,8 @@ class ExploreConfig(ExploreFlags, RecordedOptions):
             raise InputError("a rig file, or lab:NAME", "none", "deformscope explore --list-scenarios")
         if self.arm and (not self.rig.startswith("lab:") or self.robot != "plain"):
             raise InputError("--arm with a simulated scene, and without --robot", self.rig, "lab:two-60-150")
+        if self.wrench is not None and not self.rig.startswith("lab:"):
+            raise InputError("--wrench with a simulated scene", self.rig, 'driver = "arm" in the rig file')
         if self.camera != "plain" and not self.rig.startswith("lab:"):
             raise InputError("--camera with a simulated scene alone", f"{self.rig}", "lab:two-60-150")
         if self.robot != "plain" and not self.rig.startswith("lab:"):

@@ -352,6 +352,7 @@ TrustFlag = Annotated[
 JsonFlag = Annotated[str | None, one_word("FILE|-", str), unset, Writes()]
 RigFlag = Annotated[str, Positional, arg(metavar="RIG"), Reads()]
 SceneFlag = Annotated[str, Positional, arg(metavar="RIG|lab:NAME"), Reads()]
+WrenchFlag = Annotated[Path | None, one_word("FILE.toml", Path), unset, ends(".toml"), Reads()]
 RecordFlag = Annotated[Path | None, one_word("FILE", Path), unset, ends(".rrd"), Writes(replace=False)]
 RecordingFlag = Annotated[Path, Positional, arg(metavar="FILE.rrd"), Reads()]
 Folder = Annotated[Path, arg(metavar="DIR"), Makes()]

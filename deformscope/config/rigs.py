@@ -316,6 +316,30 @@ class ArmConfig(RecordedOptions):
 
 
 @dataclass(frozen=True, slots=True)
+class WrenchConfig(RecordedOptions):
+    """Find what the force is worth that the arm itself reports, for a rig without a force sensor (`driver = "arm"`):
+    noise, bias by pose, friction, and poses where it means nothing, by a motion above the surface without contact. The
+    arm moves, after a table of checks and a question."""
+
+    rig: flags.SceneFlag
+    """A rig file (.toml) with a device of driver = "arm", or a simulated scene, whose lines are printed."""
+    arm: Annotated[str, arg(metavar="DRIVER")] = ""
+    """The arm of a simulated scene: the double of this driver of a rig file; default: its usual one."""
+    places: Annotated[int, flags.least(6)] = 12
+    """Number of places over which the arm goes down and up."""
+    write: bool = True
+    """Write the result and the date into the rig file; --no-write only prints the lines."""
+    yes: bool = False
+    """Let a real arm move without asking, once the checks have passed."""
+    trust_rig: flags.TrustFlag = False
+    output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+    def check(self) -> None:
+        if self.arm and not self.rig.startswith("lab:"):
+            raise InputError("--arm with a simulated scene", self.rig, "the rig file's own arm")
+
+
+@dataclass(frozen=True, slots=True)
 class CertifyConfig(RecordedOptions):
     """Find a rig's bias on a sample of known modulus, by cause: force gain, depth, tip, compliance, clock. The sample
     is the surface of the rig file. The arm moves, after a table of checks and a question."""

@@ -34,7 +34,7 @@ from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, Touc
 from deformscope.stages.map.perception import force_pose
 from deformscope.stages.poke.contact import ArmCompliance
 from deformscope.stages.poke.layer_seen import AROUND_M, WITHIN_M, TableSeen, find_table
-from deformscope.stages.regions.touch_error import TouchErrorModel
+from deformscope.stages.regions.touch_error import GAIN_SD, TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid
 from deformscope.stages.see.cloud import Box, Intrinsics, Perceived, perceive
 from deformscope.stages.see.pixel_labels import SeenPixels
@@ -192,8 +192,9 @@ class SetupGeometry:
     @property
     def touch_error(self) -> TouchErrorModel:
         """Errors of touches, with the calibrated error of the force sensor's gain, or else that of any sensor."""
-        known_to = self.placement.tool.force_gain_sd
-        return TouchErrorModel() if known_to is None else TouchErrorModel(gain_sd=known_to)
+        tool = self.placement.tool
+        known_to = GAIN_SD if tool.force_gain_sd is None else tool.force_gain_sd
+        return TouchErrorModel(gain_sd=known_to, noise_n=tool.force_noise_n, off_n=tool.force_off_n)
 
     # What was measured ------------------------------------------------------------------------------------------------
 
@@ -341,9 +342,12 @@ class SetupGeometry:
                 quick["slow_within_m"], standoff_m = slow_m, HOP_M + self.camera.doubt_m
         if over_m is not None:
             highest = min(over_m + options.lift_m + standoff_m + self.placement.center_offset_m, highest)
+        tool = self.placement.tool
         plan = TouchPlan(
             np.append(xy_m, height_m + options.lift_m),
             np.asarray(normal, np.float64),
+            contact_force_n=tool.contact_n,
+            noise_n=tool.force_noise_n,
             set_force_n=options.set_force_n,
             more_force_n=self.more_force_n(options),
             max_depth_m=options.max_depth_m,

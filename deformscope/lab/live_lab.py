@@ -31,6 +31,7 @@ from deformscope.robot.placement import Placement
 from deformscope.robot.robot import sleep_until
 from deformscope.robot.setup import Truth
 from deformscope_drivers.arm.kinematics import FloatArray
+from deformscope_drivers.arm.wrench import ArmWrenchConfig
 from deformscope_drivers.clock import monotonic_ns
 from deformscope_drivers.depth_camera import SyntheticDepthCamera, View
 from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig
@@ -182,7 +183,8 @@ class LiveLab:
         if entry.driver.kind == "wrench":
             config, name = entry.driver.complete(config), entry.driver.name
             pipe = stack.enter_context(child_process("simulated table", _feel, self._table, self._shared, name, config))
-            return entry.driver.make(reaching(config, first_message(pipe, "table")))
+            port = first_message(pipe, "table")
+            return entry.driver.make(reaching(config, port) if port else config)
         rate_hz = float(config.fps or PICTURES_HZ)
         pipe = stack.enter_context(child_process("simulated table", _look, self._table, self._shared, rate_hz))
         synthetic = SyntheticDepthConfig(
@@ -244,11 +246,12 @@ def _feel(pipe: Connection, table: _Table, shared: _Shared, driver: str, config:
         sensed_n = load_n if table.randomized is None else table.randomized.sensed(load_n, time_s)
         return np.concatenate([sensed_n, np.zeros(3)])
 
-    make = DRIVERS[driver].double
-    if make is None:
+    make, own = DRIVERS[driver].double, isinstance(config, ArmWrenchConfig)
+    if make is None and not own:
         raise InputError("a force sensor with a byte-exact double", f"driver {driver} without", where=driver)
-    with wire_for(make(config, load), reaching(config, config.port)) as wire:  # no bus: it would be another process's
-        pipe.send(wire.port)
+    with contextlib.ExitStack() as stack:  # no bus: it would be another process's
+        wire = make and stack.enter_context(wire_for(make(config, load), reaching(config, config.port)))
+        pipe.send(wire.port if wire is not None else "")
         due = time.monotonic()
         while _goes_on(shared, due):
             contact.finger_n = np.array(shared.finger_n[:])

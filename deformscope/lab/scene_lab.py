@@ -30,6 +30,7 @@ from deformscope.robot.placement import Placement
 from deformscope.robot.setup import T_BASE_SURFACE, CameraView, Setup, Truth
 from deformscope.solid import Capsule, PosedSolid
 from deformscope_drivers.arm.kinematics import transform
+from deformscope_drivers.arm.wrench import ArmWrenchConfig
 from deformscope_drivers.depth_camera import SENSORS, View
 from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig
 from deformscope_drivers.device import Device
@@ -136,13 +137,16 @@ class SceneLab:
         described: RobotDescription = AS_CAPSULES,
         travel_speed_m_s: float = 0.05,
         arm: str = "",
+        own_wrench: ArmWrenchConfig | None = None,
+        tool: Tool | None = None,
     ) -> None:
         """parked_m: first z of the tip's centre [m, surface frame]; errors: distributions of its hidden errors, default
         none; sensor: sensor of SENSORS, the camera's error model, empty = noise alone
         robot: that the camera sees, None = capsules; described: the known description of its shape; travel_speed_m_s:
-        between touches; arm: driver of the arm, whose double stands there in place of a Jaco"""
+        between touches; arm: driver of the arm, whose double stands there in place of a Jaco; own_wrench, tool: the
+        arm's own force in place of the force sensor, and its deviations"""
         self._robot, self._described = robot, described
-        self._driver = arm or "jaco"
+        self._driver, self._own_wrench = arm or "jaco", own_wrench
         low_m, high_m = AHEAD_BOX_M if arm else (BOX_LOW_M, BOX_HIGH_M)
         self._workspace = Workspace(low_m=low_m, high_m=high_m, travel_speed_m_s=travel_speed_m_s)
         self.drawn = (errors or LabErrors.none()).draw([seed, scene.seed])
@@ -161,7 +165,7 @@ class SceneLab:
         self.view = DepthView(scene, view)
         # a tip's centre above that touches nothing, on slopes up to 40 degrees too
         self._high_m = float(scene.foam_height_m(self.view.places_m).max()) + 2.5 * tip_radius_m * self.drawn.tip
-        tool = Tool(radius_m=tip_radius_m)
+        tool = dataclasses.replace(tool or Tool(), radius_m=tip_radius_m)
         self.placement = Placement(T_BASE_AHEAD if arm else T_BASE_SURFACE, tool)
         parked = np.array([scene.size_m[0] / 2, scene.size_m[1] / 2, parked_m])
         touching = np.array([*parked[:2], scene.thickness_m])
@@ -189,6 +193,7 @@ class SceneLab:
             start_deg=None if arm else start_deg(J2N6S300, self.placement, (parked, touching)),
             seed=seed,
             goes_on=isinstance(self._world, CreepingWorld),
+            own_wrench=own_wrench,
         )
 
     @property
@@ -219,6 +224,7 @@ class SceneLab:
             wait_until=self.lab.wait_until,
             described=self._described,
             press=lambda force_n: self.lab.push_tip(np.asarray(force_n, np.float64)),
+            own_wrench=self._own_wrench,
         )
 
     def _relaxation(self, xy_m: FloatArray) -> Relaxation:
@@ -246,7 +252,7 @@ class SceneLab:
         """The devices as a source; entering it opens the laboratory."""
         devices: dict[str, tuple[str, Device[Any]]] = {
             "arm": (self._driver, self.lab.arm),
-            "tip": ("optoforce", self.lab.force),
+            "tip": ("optoforce" if self._own_wrench is None else "arm", self.lab.force),
         }
         if self.lab.camera is not None:
             devices["camera"] = ("depth_camera", self.lab.camera)

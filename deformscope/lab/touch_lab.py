@@ -19,6 +19,7 @@ from deformscope.rig.rig_file import Tool
 from deformscope.robot.placement import Placement
 from deformscope.robot.setup import T_BASE_SURFACE
 from deformscope_drivers.arm.kinematics import FloatArray, damped_joint_rates, jacobian_of
+from deformscope_drivers.arm.wrench import ArmWrench, ArmWrenchConfig
 from deformscope_drivers.depth_camera import SyntheticDepthCamera
 from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig, View
 from deformscope_drivers.device import Device
@@ -36,6 +37,8 @@ READY_NEAR_DEG = (270.0, 200.0, 100.0, 200.0, 90.0, 90.0)
 """First joint angles of the arm above the table, in the configuration that reaches the whole table."""
 READY_M = (0.3, 0.2, 0.2)
 POLL_NS = 2_000_000
+OWN_ERRORS = 0.1, 0.02
+"""Of a Jaco whose own force is used: noise of its joints' torques [Nm], and share of gravity left in them. Chosen."""
 
 
 class TouchLab:
@@ -63,8 +66,9 @@ class TouchLab:
         start_deg: npt.ArrayLike | None = None,
         seed: int = 0,
         goes_on: bool = False,
+        own_wrench: ArmWrenchConfig | None = None,
     ) -> None:
-        """arm_stiffness_n_m, goes_on: as in `ArmContact`
+        """arm_stiffness_n_m, goes_on: as in `ArmContact`; own_wrench: the arm's own force in place of the force sensor
 
         sensed: output of the force sensor for a force on it (3,) [N] at a time [s]; default the same
 
@@ -93,11 +97,16 @@ class TouchLab:
         sensors = Sensors(scene=self._load, sensitivity=OMD_20_SE_40N, seed=seed)
         self.sensor_double = OptoforceDouble(sensors)
         self.wire = SpoiledWire(self.sensor_double, self.clock, seed)
-        self.force = Optoforce(
+        self.force: Optoforce | ArmWrench = Optoforce(
             force_config if force_config is not None else OptoforceConfig(sensitivity=OMD_20_SE_40N),
             transport=self.wire,
             clock=self.clock,
         )
+        if own_wrench is not None:
+            if self._jaco is not None:
+                self._jaco[0].blur_torques(*OWN_ERRORS)
+            self.force = ArmWrench(own_wrench)
+            self.force.attach(self.arm)
         self.camera: SyntheticDepthCamera | None = None
         if view is not None:
             self.camera = SyntheticDepthCamera(view, camera_config, clock=self.clock)
@@ -123,10 +132,14 @@ class TouchLab:
 
     def open(self) -> None:
         """Open the devices on the laboratory's clock, and set the force sensor's zero."""
-        self.force.open(own_thread=False)
-        self.force.zero()
+        if isinstance(self.force, Optoforce):
+            self.force.open(own_thread=False)
+            self.force.zero()
         self.wait_until((self.clock() // ARM_CYCLE_NS + 1) * ARM_CYCLE_NS)  # its slots are then those of its double
         self.arm.open(own_thread=False)
+        if isinstance(self.force, ArmWrench):
+            self.force.open(own_thread=False)
+            self.force.zero()
         if self.camera is not None:
             self.camera.open(own_thread=False)
 

@@ -86,6 +86,11 @@ class Camera:
             sections.check_transform("T_arm_camera", self.T_arm_camera)
 
 
+CONTACT_SDS, RESOLVED_SDS = 4.0, 10.0
+"""Deviations of an arm's own force that mean contact, as which noise counts once in some hundred touches; that a set
+force has at least, whose stiffness is then known to a tenth."""
+
+
 @dataclass(frozen=True, slots=True)
 class Tool:
     """The tip of the arm.
@@ -99,6 +104,8 @@ class Tool:
     compliance_sd: its deviation [m/N]. `deformscope calibrate arm` measures both
     force_gain: the sensor's forces over true forces; force_gain_sd: its deviation, None = not measured: that
     of the data sheet. `deformscope calibrate force --weight` measures both
+    force_noise_n: deviation of a reading, and force_off_n: of the force in a touch after its zero, where an arm's own
+    force is read (`driver = "arm"`) [N]; 0 = those of a force sensor. `deformscope calibrate wrench` measures both
     weight_n: (3,) weight of all that the force sensor carries, in the base frame, which is taken out of its readings as
     the arm turns; weight_center_m: (3,) its centre of mass in the sensor's frame. `deformscope calibrate tool` measures
     both
@@ -114,6 +121,8 @@ class Tool:
     R_tip_force: tuple[tuple[float, ...], ...] | None = None
     force_gain: float = 1.0
     force_gain_sd: float | None = None
+    force_noise_n: float = 0.0
+    force_off_n: float = 0.0
     weight_n: tuple[float, float, float] | None = None
     weight_center_m: tuple[float, float, float] | None = None
 
@@ -134,6 +143,18 @@ class Tool:
         sections.check(0 <= weight_n <= 100, "weight_n of 100 N or less", self.weight_n)
         known_to = self.force_gain_sd
         sections.check(known_to is None or 0 <= known_to <= 0.2, "force_gain_sd between 0 and 0.2", known_to)
+        errors_n = self.force_noise_n, self.force_off_n
+        sections.check(all(0 <= one <= 20 for one in errors_n), "force_noise_n and force_off_n from 0 to 20", errors_n)
+
+    @property
+    def contact_n(self) -> float:
+        """Force that means contact [N]."""
+        return max(0.1, CONTACT_SDS * math.hypot(self.force_noise_n, self.force_off_n))
+
+    @property
+    def resolved_n(self) -> float:
+        """The smallest set force of a touch [N]; 0 with a force sensor."""
+        return RESOLVED_SDS * math.hypot(self.force_noise_n, self.force_off_n)
 
 
 USUAL_THICKNESS_M = 0.05

@@ -204,7 +204,7 @@ class SqueezeSection:
 
 # Date and accuracy of each part of a rig's calibration: `deformscope calibrate` writes them with the values
 
-DAYS = {"arm": 365, "place": 30, "tip": 180, "camera": 90, "force": 180, "time": 365, "tool": 180}
+DAYS = {"arm": 365, "place": 30, "tip": 180, "camera": 90, "force": 180, "time": 365, "tool": 180, "wrench": 30}
 """Days after which each calibration is repeated: a table is moved sooner than a stick is bent. Chosen."""
 
 LATEST_S = 0.5
@@ -256,6 +256,7 @@ class CalibratedSection:
     force: CalibrationEntry | None = None
     time: CalibrationEntry | None = None
     tool: CalibrationEntry | None = None
+    wrench: CalibrationEntry | None = None
 
     def late_ns(self, devices: Collection[str]) -> dict[str, int]:
         """The delay of a device, by name [ns]: only the later of the two compared devices has one, so that no stamp

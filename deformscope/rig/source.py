@@ -11,6 +11,8 @@ from deformscope.errors import InputError
 from deformscope.frames import HealthReport, Item, LinkChange, RawBytes, Stream, host_ns
 from deformscope.rig.alarms import SensorAlarms
 from deformscope.rig.measured import describe, to_frame
+from deformscope_drivers.arm import Arm
+from deformscope_drivers.arm.wrench import ArmWrench
 from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.device import Device, RawChunk
 from deformscope_drivers.errors import DeviceError
@@ -64,11 +66,17 @@ class RigSource:
         wait_until: Callable[[int], None] | None = None,
     ) -> None:
         self.start_ns = 0
-        self.latest_ns = max((member.late_ns for member in members), default=0)
+        self.latest_ns = max((member.late_ns + member.device.delay_ns for member in members), default=0)
         self._clock = clock
         self._opener = opener
         self._wait_until = wait_until
         self._members = tuple(members)
+        arms = [member.device for member in members if isinstance(member.device, Arm)]
+        for member in members:
+            if isinstance(member.device, ArmWrench):
+                if len(arms) != 1:
+                    raise InputError('one arm, for driver = "arm"', f"{len(arms)}", "the rig file", member.name)
+                member.device.attach(arms[0])
         self._raw = raw
         self._alarms: SensorAlarms | None = None
         self._opened: list[_Opened] = []
@@ -79,7 +87,7 @@ class RigSource:
         self.start_ns = self._clock() - self.latest_ns
         for member in self._members:  # before they open, so that nothing is missed
             device = member.device
-            device.late_ns = member.late_ns
+            device.late_ns = member.late_ns + device.delay_ns
             raw = device.raw() if self._raw else None
             self._opened.append(_Opened(member, device.readings(), raw, device.events()))
         if self._opener is not None:

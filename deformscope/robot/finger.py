@@ -52,12 +52,13 @@ def press_by_finger(
     say(FINGER.format(press_n, 100.0 * press_n))
     rest_n = np.mean([_tip_force_n(robot) for _ in range(HELD_PERIODS)], axis=0)
     least_n, most_n = max(press_n / THIRD, set_n), THIRD * press_n
+    begun_n = max(BEGUN_N, robot.placement.tool.contact_n)
     right, came, held, pushes = False, "nothing", list[FloatArray](), 0
     try:
         press(np.array([0.0, 0.0, press_n]))
         for _ in range(round(100 * patience_s)):
             force_n = _tip_force_n(robot) - rest_n
-            held = [*held, force_n] if np.linalg.norm(force_n) > BEGUN_N else []
+            held = [*held, force_n] if np.linalg.norm(force_n) > begun_n else []
             if not held and (right or pushes == PUSHES):  # the finger is gone
                 break
             if len(held) == HELD_PERIODS:

@@ -109,9 +109,10 @@ class PressWatch:
     A force that stays is noticed before the stiffness in series could have added CONTACT_SHARE of the hard stop: the
     arm's, or HARDENS times that since contact where it is less."""
 
-    def __init__(self, alone: ForceAlone, contact_n: float) -> None:
-        """contact_n: force that means contact [N]"""
+    def __init__(self, alone: ForceAlone, contact_n: float, noise_n: float = 0.0) -> None:
+        """contact_n: force that means contact [N]; noise_n: deviation of a reading, if more than a sensor's [N]"""
         self._alone, self._contact_n = alone, contact_n
+        self._noise_n, self._known_n = noise_n, max(KNOWN_N, 6.0 * noise_n)
         self._farthest_m = alone.doubt_m + MISS_M
         self._passed: deque[tuple[float, float]] = deque()
         self._recent: deque[tuple[float, float]] = deque(maxlen=LOST_PERIODS)
@@ -125,18 +126,21 @@ class PressWatch:
         self._recent.append((force_n, down_m))
         mean_n = sum(one_n for one_n, _ in [*self._recent][-GONE_PERIODS:]) / GONE_PERIODS
         if not in_contact:
-            self._free_m = down_m if force_n - self._rest_n < 0.25 * self._contact_n else self._free_m
+            if self._noise_n or force_n - self._rest_n < 0.25 * self._contact_n:
+                self._free_m = down_m
             self._rest_n += (force_n - self._rest_n) / REST_PERIODS
             self._fell = self._fell + 1 if force_n < -2.0 * self._contact_n else 0
             return f"{force_n:.2f} N before contact: something pulls the tip" if self._fell >= FELL_PERIODS else ""
         most_n, at_m = max(self._recent)
         back_n = alone.stiffness_n_m * max(at_m - down_m, 0.0)
-        fell = most_n - force_n > (1.0 - REMAINS) * most_n + back_n + RISE_N
+        fell = most_n - force_n > (1.0 - REMAINS) * most_n + back_n + max(RISE_N, 4.0 * self._noise_n)
         self._fell = self._fell + 1 if fell else 0
         self._pressed += 1
         if self._fell >= FELL_PERIODS or (self._pressed > GONE_PERIODS and mean_n < GONE * self._contact_n):
             return f"{force_n:.2f} N after {most_n:.2f} N, although the tip did not go back"
-        if (more_n := force_n - self._rest_n) > KNOWN_N and down_m > self._free_m:
+        # noise hides where contact began: then what is more than the force that means contact counts, from there on
+        more_n = force_n - (self._contact_n if self._noise_n else self._rest_n)
+        if more_n > self._known_n and down_m > self._free_m:
             seen_n_m = HARDENS * more_n / (down_m - self._free_m)
             self._stiffness_n_m = min(max(self._stiffness_n_m, seen_n_m), alone.stiffness_n_m)
         way_m = self._farthest_m

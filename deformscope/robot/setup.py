@@ -4,7 +4,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Protocol
 
@@ -24,6 +24,7 @@ from deformscope.robot.preflight import FORCE_TURNED
 from deformscope.robot.robot import Robot, RobotStopped, Waits, Watch, sleep_until
 from deformscope.robot.supervisor import Limits
 from deformscope_drivers.arm.kinematics import transform
+from deformscope_drivers.arm.wrench import ArmWrench, ArmWrenchConfig
 from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.device import Device
 from deformscope_drivers.errors import DeviceError
@@ -77,7 +78,8 @@ class Setup:
     true_force_n: the largest true contact force so far [N], None if only the sensor measures it
     person: places the arm; None = an arm with motors; described: shape of the robot
     certificate: the rig's bias, by its certificate, as text; empty = none
-    press: has a simulated finger press the tip with (3,) [N, surface frame]; None = a person does"""
+    press: has a simulated finger press the tip with (3,) [N, surface frame]; None = a person does
+    own_wrench: how the arm's own force is read in place of a force sensor; None = a sensor"""
 
     size_m: tuple[float, float]
     placement: Placement
@@ -100,11 +102,20 @@ class Setup:
     described: RobotDescription = AS_CAPSULES
     certificate: str = ""
     press: Callable[[FloatArray], None] | None = None
+    own_wrench: ArmWrenchConfig | None = None
 
     @property
     def max_force_n(self) -> float | None:
         """The largest true contact force so far [N]; None with real devices, where only the sensor measures it."""
         return None if self.true_force_n is None else self.true_force_n()
+
+    def check_force(self, set_force_n: float) -> None:
+        """Raises InputError for a set force [N] that the arm's own force does not resolve."""
+        if set_force_n < (least_n := self.placement.tool.resolved_n):
+            advice = "a larger one, up to 5 N" if least_n <= 5.0 else "a force sensor at the arm's end"
+            raise InputError(
+                f"a set force of {least_n:.2f} N or more, for the arm's own force", f"{set_force_n:g} N", advice
+            )
 
     def robot(self, source: RigSource, watch: Watch | None = None) -> Robot:
         """The robot over the open devices, once its arm has reported. watch: as for `Robot`.
@@ -116,11 +127,15 @@ class Setup:
                 force.zero()  # type: ignore[attr-defined]
             except DeviceError as error:
                 raise InputError.about(error, f"device {self.names[1]}") from error
+        limits = Limits.of(self.workspace, camera_hz=self.camera.rate_hz)
+        if isinstance(force, ArmWrench):  # as silent as its arm
+            silent_s = max(limits.force_silent_s, limits.arm_silent_s) + force.delay_ns / 1e9
+            limits = replace(limits, force_silent_s=silent_s)
         robot = Robot(
             arm,  # type: ignore[arg-type]
             force,  # type: ignore[arg-type]
             self.placement,
-            Limits.of(self.workspace, camera_hz=self.camera.rate_hz),
+            limits,
             camera=camera,
             clock=self.clock,
             wait_until=self.wait_until,
@@ -235,8 +250,9 @@ class RigParts:
                 came = f"{entry.late_ns / 1e9:g} s, by calibrate time"
                 raise InputError(least, came, "a faster link, or a longer ..._silent_s in [workspace]", rig.name)
         names = ", ".join(entry.name for entry in devices)
-        doubled = ", ".join(entry.name for entry in devices if entry.double)
-        real = ", ".join(entry.name for entry in devices if not entry.double)
+        sensors = [one for one in devices if not isinstance(one.config, ArmWrenchConfig)]
+        doubled = ", ".join(entry.name for entry in sensors if entry.double)
+        real = ", ".join(entry.name for entry in sensors if not entry.double)
         if rig.tool.tip != "sphere":
             raise InputError('[tool] tip = "sphere", to explore with', repr(rig.tool.tip), where=rig.name)
         if not rig.surface.scene and doubled:
@@ -273,6 +289,8 @@ def rig_setup(
     if tool.compliance_m_per_n is None:
         compliance = give if simulated else (0.0, 0.0)
     fps = parts.devices[2].config.fps
+    force = parts.devices[1].config
+    own = force if isinstance(force, ArmWrenchConfig) else None
     return Setup(
         size_m=table.size_m if as_written and table is not None else rig.surface.size_m,
         placement=parts.placement,
@@ -294,6 +312,7 @@ def rig_setup(
             "[camera] T_arm_camera": as_written or camera.T_arm_camera is not None,
             "[tool] compliance_m_per_n": simulated or tool.compliance_m_per_n is not None,
             FORCE_TURNED: as_written or tool.R_tip_force is not None,
+            **({} if own is None else {"[tool] force_off_n": tool.force_off_n > 0.0}),
         },
         described=parts.described,
         ages=rig.calibrated.ages(),
@@ -306,6 +325,7 @@ def rig_setup(
         clock=monotonic_ns if table is None else table.clock,
         wait_until=sleep_until if table is None else table.wait_until,
         press=None if table is None else table.push_tip,
+        own_wrench=own,
     )
 
 

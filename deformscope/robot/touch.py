@@ -100,7 +100,8 @@ class TouchPlan:
     travel_height_m: z of the tip's centre when it crosses; slow_within_m: distance from the point within which the
     approach is slow; miss_m: how far below the point contact is sought
     far_speed_m_s, contact_speed_m_s, travel_speed_m_s: speeds far, near and in contact, and between touches
-    contact_force_n: force along the normal that means contact; dwell_s: duration at rest; dwell_at_most_s: longest
+    contact_force_n: force along the normal that means contact; noise_n: deviation of a reading, where it is that of an
+    arm's own force; dwell_s: duration at rest; dwell_at_most_s: longest
     dwell; tangential: "held" = the tip stays on the normal's line, "free" = it follows forces across
     passing_m: distance above the point at which the tip continues, without coming to rest there
     slow_back: until contact is lost the tip goes back as slowly as it came, to measure the energy that the foam returns
@@ -121,6 +122,7 @@ class TouchPlan:
     contact_speed_m_s: float = 0.01
     travel_speed_m_s: float = 0.05
     contact_force_n: float = 0.1
+    noise_n: float = 0.0
     dwell_s: float = 0.5
     dwell_at_most_s: float = 3.0
     tangential: Literal["held", "free"] = "held"
@@ -415,7 +417,7 @@ class TouchStateMachine:
         times, depths_m, forces_n = zip(*self._recent, strict=True)
         if times[-1] - times[0] < STILL_S - 2e-9 * PERIOD_NS:
             return False
-        near_n = max(STILL_FORCE * set_n, STILL_FORCE_N)
+        near_n = max(STILL_FORCE * set_n, STILL_FORCE_N, 3.0 * self.plan.noise_n)
         at_force = self.ending is not TouchEnding.SET_FORCE or all(abs(one - set_n) < near_n for one in forces_n)
         quiet = max(forces_n) - min(forces_n) < 2 * near_n
         return at_force and quiet and max(depths_m) - min(depths_m) < STILL_M
@@ -482,7 +484,7 @@ class TouchRun:
         self._watch: PressWatch | None = None
         if robot.force_alone:
             alone = ForceAlone.of(robot)
-            plan, self._watch = plan.slowed_for(alone), PressWatch(alone, plan.contact_force_n)
+            plan, self._watch = plan.slowed_for(alone), PressWatch(alone, plan.contact_force_n, plan.noise_n)
         self._robot, self._plan, self._on_phase = robot, plan, on_phase
         self._reported: Phase | None = None
         if robot.supervisor.verdict.action is not Action.GO_ON:
@@ -669,12 +671,14 @@ def take_tare(robot: Robot) -> FloatArray:
     halves = np.array_split(forces_n, 2)
     varies_n = float(np.max(np.abs(halves[0].mean(axis=0) - halves[1].mean(axis=0))))
     noise_n = forces_n.std(axis=0)
-    if varies_n > TARE_STILL_N or float(np.max(noise_n)) > TARE_STILL_N:
+    tool = robot.placement.tool
+    still_n, drift_n = max(TARE_STILL_N, 2.5 * tool.force_noise_n), max(TARE_DRIFT_N, 1.5 * tool.contact_n)
+    if varies_n > still_n or float(np.max(noise_n)) > still_n:
         came = f"a load that varies by {max(varies_n, float(np.max(noise_n))):.2f} N"
-        raise NotThere(f"a load within {TARE_STILL_N:g} N in free air", came, "keep the tip free of contact")
+        raise NotThere(f"a load within {still_n:.2g} N in free air", came, "keep the tip free of contact")
     mean_n = forces_n.mean(axis=0)
-    if float(np.linalg.norm(mean_n)) > TARE_DRIFT_N:
+    if float(np.linalg.norm(mean_n)) > drift_n:
         came = f"{np.linalg.norm(mean_n):.2f} N from the last tare"
-        raise NotThere(f"less than {TARE_DRIFT_N:g} N: a sensor's drift", came, "lift the tip: it seems to touch")
+        raise NotThere(f"less than {drift_n:.2g} N: a sensor's drift", came, "lift the tip: it seems to touch")
     robot.tare_n = robot.tare_n + mean_n
     return np.asarray(noise_n)

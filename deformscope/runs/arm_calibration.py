@@ -1,5 +1,5 @@
 """`deformscope calibrate arm` and `certify`: touch something known, rigid or of a known modulus, and write the arm's
-compliance, or the rig's bias by cause, into the rig file."""
+compliance, or the rig's bias by cause, into the rig file. `calibrate wrench`: touch nothing."""
 
 import contextlib
 import json
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from deformscope.arrays import FloatArray
-from deformscope.config import ArmConfig, CertifyConfig
+from deformscope.config import ArmConfig, CertifyConfig, WrenchConfig
 from deformscope.errors import InputError
 from deformscope.experiments.explore.explore import ExplorationStopped
 from deformscope.experiments.explore.options import ExploreOptions
@@ -35,10 +35,13 @@ from deformscope.log.findings import RigFindings
 from deformscope.log.layout import RIG
 from deformscope.pictures.messages import counted
 from deformscope.pictures.report import Figure
-from deformscope.pictures.setup import compliance_png
+from deformscope.pictures.setup import compliance_png, off_figure
 from deformscope.plain import plain
 from deformscope.recording.items import read_found
 from deformscope.recording.reader import Replay
+from deformscope.rig.rig_file import Tool
+from deformscope.rig.source import RigSource
+from deformscope.robot.placement import Placement
 from deformscope.rows import from_json, to_json
 from deformscope.runs.indentation import curve_files, curves_png, kept_curves, shown_rows
 from deformscope.runs.opened_devices import LAB, Opening, setup_of
@@ -55,20 +58,35 @@ from deformscope.stages.poke.certificate import TOLERANCE, KnownSample, RigBias,
 from deformscope.stages.poke.contact import Z_90, ArmCompliance
 from deformscope.stages.poke.indentation import IndentCurve, IndentSample
 from deformscope.stages.poke.tip_law import Ground, Indenter
+from deformscope.stages.setup.wrench import PARTS, wrench_worth
 from deformscope.terminal import say, until_interrupted
+from deformscope_drivers.arm import Arm, ArmState
+from deformscope_drivers.arm.kinematics import Chain
+from deformscope_drivers.arm.wrench import ArmWrenchConfig, low_pass_share, pose_terms, reported_n, way_terms
+from deformscope_drivers.subscription import Subscription
 
 if TYPE_CHECKING:
     from deformscope.recording.recorder import Recorder
 
 POISSON = (0.48, 0.5)
 """Range of Poisson's ratio of silicones [assumed: nearly incompressible]."""
+LEAST_HALF_DEG, MOST_STATES = 2.0, 1 << 20
+"""Least half width of a joint's learned range; longest motion, an hour of 290 states a second."""
 RING_M, EDGE_RADII, SHALLOW, LEAST_N = 0.06, 4.0, 0.6, 0.17
 """Largest distance of touches from the sample's middle; least distance from its edge, in radii of the contact; force of
 every second touch over that of the others; least force of the others: SHALLOW of it is ten times the sensor's noise."""
 
 
-def opening_of(config: ArmConfig | CertifyConfig) -> Opening:
+FREE_LIFT_M, FREE_N, LOOSE_N, INSIDE = 0.03, 5.0, (0.8, 0.6), (0.15, 0.85)
+"""`calibrate wrench`: height above the surface, force that would be a contact, deviations of the arm's own force before
+they are known, with which even a bad one does not end the motion, and share of the surface's sides above which it
+moves."""
+
+
+def opening_of(config: ArmConfig | WrenchConfig | CertifyConfig) -> Opening:
     """The devices, not opened, and the options of their touches. Raises the errors of `setup_of`."""
+    if isinstance(config, WrenchConfig):
+        return _in_free_air(config)
     errors: LabErrors | None = LabErrors.uncertified()
     force_n, hold_s = None, 0.5
     if isinstance(config, ArmConfig):
@@ -77,12 +95,29 @@ def opening_of(config: ArmConfig | CertifyConfig) -> Opening:
     return setup_of(config.rig, options, force_n, trusted=config.trust_rig, errors=errors)
 
 
-def touch_known(config: ArmConfig | CertifyConfig) -> RigCalibrationResult:
-    """`calibrate arm` or `certify`: check, touch, and write what was found. Raises InputError."""
+def _in_free_air(config: WrenchConfig) -> Opening:
+    """The same for `calibrate wrench`, whose touches end above the surface. Raises InputError for a force sensor."""
+    options = ExploreOptions(budget=config.places, beta_model="none", lift_m=FREE_LIFT_M, go_on=True)
+    options, own = replace(options, seed=config.output.seed), (ArmWrenchConfig(), Tool())
+    opening = setup_of(config.rig, options, FREE_N, trusted=config.trust_rig, arm=config.arm, own=own)
+    setup = opening.setup
+    if not setup.own_wrench:
+        raise InputError('a force sensor with driver = "arm"', setup.names[1], "calibrate force", config.rig)
+    calibrated = {name: there for name, there in setup.calibrated.items() if not name.startswith("[tool]")}
+    loose = replace(setup.placement.tool, force_noise_n=LOOSE_N[0], force_off_n=LOOSE_N[1])
+    placement = Placement(setup.placement.T_base_surface, loose)
+    return replace(opening, setup=replace(setup, placement=placement, calibrated=calibrated, ages={}))
+
+
+def touch_known(config: ArmConfig | WrenchConfig | CertifyConfig) -> RigCalibrationResult:
+    """`calibrate arm`, `calibrate wrench` or `certify`: check, move, and write what was found. Raises InputError."""
     quiet_warp()
     opening = opening_of(config)
     settings = {**settings_of(config), "rig": "", **opening.settings}  # its file as text, for replay
     recorder = open_recorder(config.output, settings, RIG, real_time=opening.setup.runs_itself)
+    if isinstance(config, WrenchConfig):
+        return calibrate_wrench(config, opening, recorder)
+    opening.setup.check_force(opening.options.set_force_n)
     if isinstance(config, ArmConfig):
         return calibrate_arm(config, opening, recorder)
     return certify(config, opening, recorder)
@@ -116,8 +151,84 @@ def calibrate_arm(
     return found
 
 
+def calibrate_wrench(
+    config: WrenchConfig, opening: Opening, recording: "AbstractContextManager[Recorder]"
+) -> RigCalibrationResult:
+    """Move above the surface, and write what the arm's own force is worth into the rig file unless --no-write is
+    given."""
+    setup = opening.setup
+    columns = -(-config.places // 3)
+    x, y = (np.linspace(*INSIDE, count) * side for count, side in zip((columns, 3), setup.size_m, strict=True))
+    places_m = np.array([(one, other) for one in x for other in y])[: config.places]
+    heard: list[tuple[Arm[Any], Subscription[ArmState]]] = []
+
+    def begun(source: RigSource) -> None:
+        arm: Any = source.device(setup.names[0])
+        heard.append((arm, arm.readings(MOST_STATES)))
+
+    def touched(measured: TouchMeasurement, height_m: float) -> str:
+        made.append(float(np.ptp(measured.force_n @ measured.normal)))
+        return f"way {len(made)} of {len(places_m)}: its own force changed by {made[-1]:.2f} N"
+
+    def result() -> RigCalibrationResult:
+        ((arm, states),) = heard
+        return _wrench(states.take(), arm.chain, opening, config.rig)
+
+    made: list[float] = []
+    found = _touched_result(config, opening, recording, setup.calibrated, places_m, touched, result, begun=begun)
+    if config.write and not config.rig.startswith(LAB):
+        write_values(Path(config.rig), found.dated)
+    return found
+
+
+def _wrench(states: Sequence[ArmState], chain: Chain, opening: Opening, rig: str) -> RigCalibrationResult:
+    report = opening.setup.own_wrench
+    assert report is not None
+    joints_deg = np.array([state.joints_deg for state in states])
+    middle, half = 0.5 * (joints_deg.max(axis=0) + joints_deg.min(axis=0)), 0.5 * np.ptp(joints_deg, axis=0)
+    half = np.maximum(half, LEAST_HALF_DEG)
+    force_n, singular = reported_n(states, chain)
+    time_s = np.array([state.stamp.host_ns for state in states]) / 1e9
+    ways = [np.zeros(len(middle))]
+    for turned_deg in np.diff(joints_deg, axis=0):
+        ways.append(way_terms(ways[-1], turned_deg))
+    terms = pose_terms(joints_deg, middle, half), np.array(ways)
+    share = low_pass_share(report.filter_hz, (len(time_s) - 1) / float(np.ptp(time_s)))
+    worth = wrench_worth(time_s - time_s[0], force_n, *terms, singular, share)
+    tool = replace(opening.setup.placement.tool, force_noise_n=worth.smooth_n, force_off_n=worth.off_n)
+    known = {"force_noise_n": worth.smooth_n, "force_off_n": worth.off_n}
+    turned = np.eye(3) if tool.T_ee_tip is None else np.array(tool.T_ee_tip)[:3, :3].T
+    values: dict[str, Any] = {
+        f"devices.{opening.setup.names[1]}": {
+            "driver": "arm",
+            "filter_hz": report.filter_hz,
+            "least_singular": worth.least_singular,
+            "middle_deg": middle.tolist(),
+            "half_deg": half.tolist(),
+            "bias_n": worth.bias_n.tolist(),
+            "friction_n": worth.friction_n.tolist(),
+        },
+        "tool": {**known, "R_tip_force": turned.tolist()},
+    }
+    rows = (
+        ("noise", f"{worth.noise_n:.2f} N a report, {worth.smooth_n:.2f} N behind {report.filter_hz:g} Hz"),
+        ("within a touch", f"off by {worth.off_n:.2f} N (one deviation), {worth.raw_off_n:.2f} N without correction"),
+        ("friction", f"{np.abs(terms[1] @ worth.friction_n).max():.2f} N at most, by the joints' directions"),
+        ("used", f"where the Jacobian's least singular value is {worth.least_singular:.3f} or more"),
+        ("zeros", f"{worth.zeros} reports of 0 N, which are left out"),
+        ("resolves", f"a set force of {tool.resolved_n:.2f} N or more"),
+    )
+    names, text = (
+        [str(number + 1) for number in range(PARTS)],
+        "Own force without contact, as the other parts predict it",
+    )
+    figure = off_figure(worth.left_n, names, "N", worth.off_n, each="part of the motion", caption=text)
+    found = {**known, "resolved_n": tool.resolved_n, "raw_off_n": worth.raw_off_n, "zeros": worth.zeros}
+    return RigCalibrationResult("wrench", values, rows, figure, found | {"least_singular": worth.least_singular})
+
+
 def _touched_result(
-    config: ArmConfig | CertifyConfig,
+    config: ArmConfig | WrenchConfig | CertifyConfig,
     opening: Opening,
     recording: "AbstractContextManager[Recorder]",
     calibrated: Mapping[str, bool],
@@ -125,9 +236,11 @@ def _touched_result(
     touched: Callable[[TouchMeasurement, float], str],
     result: Callable[[], RigCalibrationResult],
     forces_n: Sequence[float] = (),
+    begun: Callable[[RigSource], None] = lambda source: None,
 ) -> RigCalibrationResult:
     """Check, ask, and touch places (n, 2) [m]; the recorded result. touched: called with each touch and the surface's
-    height, and gives a line to print; others as in `permitted` and `touch_places`. Ends the command after a stop."""
+    height, and gives a line to print; begun: called before the first; others as in `permitted` and `touch_places`. Ends
+    the command after a stop."""
     setup, options = opening.setup, opening.options
     stop: ExplorationStop | None = None
     with until_interrupted() as asked, recording as recorder, open_rig_run(setup.open_source(), recorder) as opened:
@@ -142,6 +255,7 @@ def _touched_result(
             yield from permitted(
                 robot, setup, options, calibrated, asked, yes=config.yes, places_m=np.unique(places_m, axis=0)
             )
+            begun(opened.source)
             yield from touch_places(FromFrames(robot.geometry, options), places_m, shown, forces_n)
 
         with touching_robot(setup, opened.source, options, watch) as robot, watch.halts(robot):

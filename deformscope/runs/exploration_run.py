@@ -16,7 +16,7 @@ from deformscope.lab.scenes import scene_of
 from deformscope.log.layout import EXPLORATION, ExplorationLayout
 from deformscope.results.render import to_line
 from deformscope.runs.exploration_result import NOT_KNOWN, ExplorationResult, LayerThickness, TouchOutcome, TruthScore
-from deformscope.runs.opened_devices import LAB, setup_of
+from deformscope.runs.opened_devices import LAB, own_wrench, setup_of
 from deformscope.runs.result import open_recorder
 from deformscope.runs.skeleton import leave_arm, open_run, permitted
 from deformscope.stages.msm.quiet import quiet_warp
@@ -108,8 +108,10 @@ def explore_on(
         scene=None if scene is None else scene_of(scene, options.seed),
         corrected=config.corrected,
         arm=config.arm,
+        own=None if config.wrench is None else own_wrench(config.wrench),
     )
     setup, options = opening.setup, opening.options
+    setup.check_force(options.set_force_n)
     _check_first(config, setup)
     if planner is not None and (opening.recorded is not None or config.output.viewer == "page"):
         raise InputError("a robot without a page, for a planner of one's own", "a recording, or a page")

@@ -18,10 +18,11 @@ if TYPE_CHECKING:
     from deformscope.lab.scenes import Scene
     from deformscope.lab.session_errors import LabErrors
     from deformscope.lab.touch_lab import TouchLab
-    from deformscope.rig.rig_file import Rig
+    from deformscope.rig.rig_file import Rig, Tool
     from deformscope.robot.description import Removal
     from deformscope.robot.setup import RigParts, Setup
     from deformscope.robot.squeeze_setup import SqueezeSetup
+    from deformscope_drivers.arm.wrench import ArmWrenchConfig
 
 LAB = "lab:"
 
@@ -62,6 +63,7 @@ def setup_of(
     errors: "LabErrors | None" = None,
     corrected: bool = False,
     arm: str = "",
+    own: "tuple[ArmWrenchConfig, Tool] | None" = None,
 ) -> Opening:
     """The setup of `lab:NAME`, of a rig file, not opened, or of a recording.
 
@@ -71,7 +73,8 @@ def setup_of(
     removal: how that is taken out of its pictures; tangential: motion of the tip across the normal, None = what the rig
     file has, in the laboratory held; scene: scene of a name that is not built in;
     errors: distributions of the laboratory's hidden errors; corrected: by the rig's certificate; arm: driver of the
-    laboratory's arm, empty = its usual one"""
+    laboratory's arm, empty = its usual one; own: its own force and its deviations, in
+    place of the force sensor"""
     if name.startswith(LAB):
         from deformscope.experiments.explore.options import TRAVEL_M_S
         from deformscope.experiments.measured import highest_m
@@ -99,6 +102,8 @@ def setup_of(
             described=AS_CAPSULES if robot == "plain" else described_robot(removal),
             travel_speed_m_s=TRAVEL_M_S[options.pace],
             arm=arm,
+            own_wrench=None if own is None else own[0],
+            tool=None if own is None else own[1],
         )
         laboratory = {
             "clean": clean,
@@ -136,6 +141,15 @@ def setup_of(
         options = dataclasses.replace(options, budget=touches.count, go_on=True)
         return Opening(setup, options, settings, recorded=touches)
     return Opening(setup_of_rig(rig, options.seed), options, settings)
+
+
+def own_wrench(path: Path) -> "tuple[ArmWrenchConfig, Tool]":
+    """What a rig file says of the arm's own force, and its deviations. Raises InputError for one without."""
+    from deformscope.rig.rig_file import load_rig
+    from deformscope.robot.setup import only_device
+
+    rig = load_rig(path)
+    return only_device(rig, "wrench", "whose force is used", driver="arm").config, rig.tool
 
 
 def recorded_rig(path: Path) -> "Rig":

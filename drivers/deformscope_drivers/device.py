@@ -81,10 +81,10 @@ class Device(ABC, Generic[MeasurementT]):
 
     name: name in messages; reconnect: None = a lost link ends the session; stuck_after_s: readings that stay exactly
     the same for this long mean a stuck sensor, None = they may; clock: the host's, or a simulated laboratory's
-    late_ns: set before opening, the device's calibrated delay [ns]: the stamps in all queues are earlier by it A
-    subclass gives `_connect`, `_receive` and `_disconnect`, all run by the device's own thread. A device with large
-    readings sets `queue_readings` too, the default queue length of a slow reader; a device in a robot's control loop
-    sets `prompt`."""
+    late_ns: set before opening, the device's calibrated delay [ns]: the stamps in all queues are earlier by it;
+    delay_ns: the part of it that its own filter has. A subclass gives `_connect`, `_receive` and `_disconnect`, all run
+    by the device's own thread. A device with large readings sets `queue_readings` too, the default queue length of a
+    slow reader; a device in a robot's control loop sets `prompt`."""
 
     queue_readings: ClassVar[int] = QUEUE_READINGS
     prompt: ClassVar[bool] = False
@@ -101,7 +101,7 @@ class Device(ABC, Generic[MeasurementT]):
         self._reconnect = reconnect
         self._stuck_after_ns = None if stuck_after_s is None else round(stuck_after_s * 1e9)
         self._clock = clock
-        self.late_ns = 0
+        self.late_ns = self.delay_ns = 0
         self._changed = threading.Condition()
         self._thread: threading.Thread | None = None
         self._own_thread = True

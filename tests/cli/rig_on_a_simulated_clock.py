@@ -23,11 +23,13 @@ from deformscope.robot.by_hand import Person
 from deformscope.robot.description import AS_CAPSULES, RobotDescription, arm_shape
 from deformscope.robot.placement import Placement
 from deformscope.robot.setup import Setup, Truth, rig_setup
+from deformscope_drivers.arm.wrench import ArmWrenchConfig
 from deformscope_drivers.depth_camera import View
 from deformscope_drivers.depth_camera.synthetic import SyntheticDepthConfig
 from deformscope_drivers.device import Device
 from deformscope_drivers.interface import ArmBody
 from deformscope_drivers.memory import SimulatedClock
+from deformscope_drivers.optoforce import OptoforceConfig
 from deformscope_drivers.optoforce.double import OMD_20_SE_40N
 
 
@@ -69,7 +71,9 @@ class SimulatedTable:
     @contextlib.contextmanager
     def devices(self, entries: Sequence[RigDevice]) -> Iterator[dict[str, Device[Any]]]:
         configs = {entry.driver.kind: entry.config for entry in entries}
-        force_config = dataclasses.replace(configs["wrench"], port="simulated", sensitivity=OMD_20_SE_40N)
+        own = configs["wrench"] if isinstance(configs["wrench"], ArmWrenchConfig) else None
+        given = configs["wrench"] if own is None else OptoforceConfig()
+        force_config = dataclasses.replace(given, port="simulated", sensitivity=OMD_20_SE_40N)
         camera_config = SyntheticDepthConfig(
             rate_hz=configs["depth"].fps, missing=0.02, intrinsics=self.view.intrinsics
         )
@@ -82,6 +86,7 @@ class SimulatedTable:
             camera_config=camera_config,
             arm=self._arm,
             force_config=force_config,
+            own_wrench=own,
             sensed=None if self._randomized is None else self._randomized.sensed,
         )
         made = {"arm": self.lab.arm, "wrench": self.lab.force, "depth": self.lab.camera}

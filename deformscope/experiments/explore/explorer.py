@@ -218,7 +218,7 @@ class UnseenSurface:
         """failed: is not computed again, and fails as recorded; error: error model of touches, default that of a rig
         that is not calibrated"""
         error = error or TouchErrorModel()
-        self.options, self.arm, self.gain_sd, self.truth = options, arm, error.gain_sd, truth
+        self.options, self.arm, self.error, self.truth = options, arm, error, truth
         self.grid = MapGrid(size_m, options.cell_m)
         self.search: SurfaceSearch = options.search(self.grid, error)
         self.failed = {(one.touch, one.stage): one for one in failed}
@@ -247,7 +247,7 @@ class Explorer:
         self.region_probability: dict[str, float] | None = None
         self.failures: list[StageFailure] = []
         self.travel_m = 0.0
-        self._arm, self._gain_sd, self._truth = unseen.arm, unseen.gain_sd, unseen.truth
+        self._arm, self._error, self._truth = unseen.arm, unseen.error, unseen.truth
         self._quantity = unseen.options.quantity
         self._exponents: list[float] = []
         self._failed_before = unseen.failed
@@ -348,7 +348,7 @@ class Explorer:
         before = self.touches[-1].xyz_m[:2] if self.touches else np.zeros(2)
         self.travel_m += float(np.hypot(*(touched.xy_m - before)))
         contact = self._stage(
-            "contact", lambda: touch_fit.fit_contact(approach, self.surface, self.search, self._arm, self._gain_sd)
+            "contact", lambda: touch_fit.fit_contact(approach, self.surface, self.search, self._arm, self._error)
         )
         creep, search, sample, self._trained = None, None, None, None
         if contact is not None:

@@ -17,6 +17,7 @@ from deformscope.stages.poke.contact import Z_90, ArmCompliance, ContactFit, fit
 from deformscope.stages.poke.creep import CreepFit, fit_creep
 from deformscope.stages.poke.layer_seen import LayerModulus, modulus_of
 from deformscope.stages.poke.local_shape import LocalShape, ShapeShift
+from deformscope.stages.regions.touch_error import TouchErrorModel
 
 NEAR_M = 0.08
 """Points within this of a touch are shown with it."""
@@ -39,9 +40,9 @@ class TouchContact:
 
 
 def fit_contact(
-    touched: TouchMeasurement, surface: SeenSurface, search: SurfaceSearch, arm: ArmCompliance, gain_sd: float
+    touched: TouchMeasurement, surface: SeenSurface, search: SurfaceSearch, arm: ArmCompliance, error: TouchErrorModel
 ) -> TouchContact:
-    """The contact of a touch. gain_sd: as in `fit_approach`, with its errors"""
+    """The contact of a touch. error: of its force; raises the errors of `fit_approach`"""
     options, along = surface.options, _along(touched)
     peak = int(np.argmax(_force_along(touched)))
     fit = fit_approach(
@@ -51,7 +52,9 @@ def fit_contact(
         touched.normal,
         set_force_n=options.set_force_n,
         arm=arm,
-        gain_sd=gain_sd,
+        gain_sd=error.gain_sd,
+        force_sd_n=error.noise_n or None,
+        off_n=error.off_n,
         exponent_sd=search.exponent_sd,
         least_share=search.least_share,
     )

@@ -260,8 +260,9 @@ class TouchingRobot(CommandedRobot):
             self._pressed_m, self._begun = None, self._begun - 1
             raise TouchHeld(record.reason)
         if self._options.lift_m > 0.0:
-            raise self._dry_run(record, xy_m)
-        if record.contact_m is None or record.ending in (TouchEnding.NOT_REACHED, TouchEnding.NO_CONTACT):
+            if not (self._options.go_on and record.ending is TouchEnding.NO_CONTACT):
+                raise self._dry_run(record, xy_m)
+        elif record.contact_m is None or record.ending in (TouchEnding.NOT_REACHED, TouchEnding.NO_CONTACT):
             where = f"at ({100 * xy_m[0]:.0f}, {100 * xy_m[1]:.0f}) cm"
             raise self._stop(record.ending, f"{where}: {record.reason}" if record.reason else where)
         self._touches += 1

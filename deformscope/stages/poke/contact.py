@@ -119,6 +119,7 @@ def fit_approach(
     exponent_sd: float = EXPONENT_SD,
     least_share: float = LOADED,
     gain_sd: float = 0.0,
+    off_n: float = 0.0,
     dents: DentLaw = power_law,
 ) -> ContactFit:
     """Fit the law to an approach, from before contact to the peak of the force; later samples are left out.
@@ -130,7 +131,8 @@ def fit_approach(
     arm: how the arm yields, from `calibrate_compliance`; default a stiff arm that scatters by 0.1 mm
     force_sd_n: noise of the force, default as it scatters before contact
     exponent_sd: deviation of the prior of p; least_share: share of the set force, from which samples are fitted
-    gain_sd: deviation of log stiffness, for the sake of the force sensor's gain; dents: the law, as `TipLaw.dents`
+    gain_sd: deviation of log stiffness, for the sake of the force sensor's gain; off_n: deviation of the
+    force of this touch, besides its noise [N]; dents: the law, as `TipLaw.dents`
 
     The position is fitted as a function of the force, because the arm's scatter dominates: z = z0 + d (F / F0)^(1/p) +
     c F, least squares with a soft loss and a Gaussian prior on p."""
@@ -179,7 +181,10 @@ def fit_approach(
         stiffness, rigid = 1e-3 * at_force / depth, False
         # the exponent beyond the peak may be another
         beyond = min(exponent_sd, EXPONENT_SD) * float(np.log(max(at_force / peak, 1.0))) / p**2
-        own_log_sd, arm_log_sd = float(np.linalg.norm([own_depth_sd / depth, LAW_SD, beyond])), bent_m / depth
+        own_log_sd, arm_log_sd = (
+            float(np.linalg.norm([own_depth_sd / depth, LAW_SD, beyond, off_n / at_force])),
+            bent_m / depth,
+        )
         log_sd = float(np.linalg.norm([own_log_sd, arm_log_sd, gain_sd]))
         interval = (stiffness * float(np.exp(-Z_90 * log_sd)), stiffness * float(np.exp(Z_90 * log_sd)))
     rate, rate_interval = peak_rate(time_s[loaded], force[loaded], noise)
@@ -325,7 +330,7 @@ def since_contact(
     those with positive noise."""
     smooth = np.convolve(np.pad(force, 2, mode="edge"), np.full(5, 0.2), mode="valid")
     rising = smooth - np.median(smooth[: max(5, len(force) // 20)])
-    free = np.arange(len(force)) < np.argmax(rising > 0.02 * rising.max())
+    free = np.arange(len(force)) < np.argmax(rising > max(0.02 * rising.max(), 3.0 * (force_sd_n or 0.0)))
     free[:5] = True
     offset = float(np.median(force[free]))
     measured = float(np.median(np.abs(force[free] - offset))) / 0.6745

@@ -51,11 +51,14 @@ under a ball by 2 %."""
 @dataclass(frozen=True, slots=True)
 class TouchErrorModel:
     """Assumptions on touches. scatter_median, scatter_spread: log-normal prior of the scatter's standard deviation;
-    gain_sd: common to all touches; all of log stiffness"""
+    gain_sd: common to all touches; all of log stiffness; noise_n, off_n: deviations of a
+    reading and of the force of each touch, of an arm's own force [N]; 0 = those of a force sensor"""
 
     scatter_median: float = SCATTER_MEDIAN
     scatter_spread: float = SCATTER_SPREAD
     gain_sd: float = GAIN_SD
+    noise_n: float = 0.0
+    off_n: float = 0.0
 
     def __post_init__(self) -> None:
         if not (self.scatter_median > 0.0 and self.scatter_spread >= 0.0 and self.gain_sd >= 0.0):

@@ -5,6 +5,7 @@ cycle; the speed slider scales every velocity; a protective stop or a pause brak
 has neither port nor thread: each connection is a `doubles.Double`. Currents and forces are assumed, of the order
 of such arms."""
 
+import math
 import struct
 from collections import deque
 from collections.abc import Callable, Generator, Mapping
@@ -30,9 +31,11 @@ stop until it can be unlocked."""
 STOP_RAD_S2 = 40.0
 """Deceleration of a protective stop, a pause, and the end of a program."""
 NOISE, BIAS_N, FRICTION_N = np.array([0.4] * 3 + [0.02] * 3), 1.0, 0.5
+BRISTLE_RAD, RIPPLE_N, RIPPLES, DRIFT_N, STEP = 5e-4, 0.1, 36.0, 0.03, np.array([0.05] * 3 + [0.002] * 3)
 CB3_TIMES, SINGULAR = 4.0, 0.03
-"""Errors of the estimated force: deviation [N, Nm], by pose, by the direction of the motion. A CB3 has no sensor, but
-currents: errors so many times greater, and no force below a singular value."""
+"""Errors of the estimated force: deviation [N, Nm], by pose, by the direction of the motion, which stays at rest until
+a joint has turned the other way (Dahl 1968); a ripple with so many waves a turn, a drift in a second's root, steps. A
+CB3 has no sensor, but currents: errors so many times greater, and no force below a singular value."""
 
 
 def _variables(way: str) -> dict[str, str]:
@@ -62,6 +65,7 @@ class UrDouble:
         self.version = (5, 11, 1, 108318) if self.e_series else (3, 15, 7, 106331)
         self._q: FloatArray = np.radians(self.chain.home_deg if start_deg is None else start_deg)
         self._qd, self._target, self._wrench = np.zeros(6), np.zeros(6), np.zeros(6)
+        self._bristle, self._drift_n = np.zeros(6), np.zeros(3)
         self.slider, self.remote, self.robot_mode, self.safety_bits = 1.0, True, rtde.RUNNING, rtde.NORMAL
         self.lag_s, self.gain, self.silent = REGISTER_LAG_S, 1.0, False
         self.programs: list[str] = []
@@ -209,7 +213,8 @@ class UrDouble:
         self._target = wanted * self.slider * self.gain
         most, gap = acceleration * self._period_ns / 1e9, self._target - self._qd
         self._qd = np.where(np.abs(gap) <= most, self._target, self._qd + np.sign(gap) * most)
-        self._q = self._q + self._qd * self._period_ns / 1e9
+        turned = self._qd * self._period_ns / 1e9
+        self._q, self._bristle = self._q + turned, np.clip(self._bristle + turned / BRISTLE_RAD, -1.0, 1.0)
         if np.any(np.abs(self.joints_deg) > self.chain.upper_deg):
             self.protective_stop()
         for client in self.clients:
@@ -299,9 +304,12 @@ class UrDouble:
         """(6,) the estimated force and torque on the flange, in the base frame [N, Nm]."""
         if not self.e_series and least_singular(jacobian_of(self.T_base_links)) < SINGULAR:
             return np.zeros(6)
-        bias_n = BIAS_N * np.sin(self._q[:3] + self._q[3:]) + FRICTION_N * np.tanh(self._qd[:3] / 1e-3)
+        self._drift_n = self._drift_n + self._random.normal(0.0, DRIFT_N / math.sqrt(self.config.state_hz), 3)
+        bias_n = BIAS_N * np.sin(self._q[:3] + self._q[3:]) + RIPPLE_N * np.sin(RIPPLES * self._q[:3])
+        bias_n = bias_n + FRICTION_N * self._bristle[:3] + self._drift_n
         off = np.concatenate([bias_n, 0.05 * bias_n]) + self._random.normal(0.0, NOISE)
-        return np.asarray(self._wrench + off * (1.0 if self.e_series else CB3_TIMES))
+        times = 1.0 if self.e_series else CB3_TIMES
+        return np.asarray(np.round((self._wrench + off * times) / (STEP * times)) * (STEP * times))
 
 
 class Connection:
