@@ -38,7 +38,7 @@ READY_NEAR_DEG = (270.0, 200.0, 100.0, 200.0, 90.0, 90.0)
 READY_M = (0.3, 0.2, 0.2)
 POLL_NS = 2_000_000
 OWN_ERRORS = 0.1, 0.02
-"""Of a Jaco whose own force is used: noise of its joints' torques [Nm], and share of gravity left in them. Chosen."""
+"""Noise of a Jaco's joint torques [Nm], and share of gravity left in them, if its own force is used. Chosen."""
 
 
 class TouchLab:

@@ -144,7 +144,7 @@ def setup_of(
 
 
 def own_wrench(path: Path) -> "tuple[ArmWrenchConfig, Tool]":
-    """What a rig file says of the arm's own force, and its deviations. Raises InputError for one without."""
+    """How a rig file has the arm's own force read, and its deviations. Raises InputError for one without."""
     from deformscope.rig.rig_file import load_rig
     from deformscope.robot.setup import only_device
 

@@ -24,9 +24,9 @@ SINGULAR_MARGIN = 0.1
 class WrenchWorth:
     """bias_n: (f, 3) coefficients of the terms of a pose, friction_n: (n, 3) of the directions [N, base frame]
 
-    noise_n: deviation of a single report; smooth_n: of one behind the low pass, about its mean of a second; off_n: of
-    the change of its mean within CHANGE_S, as in a touch after its zero, once bias and friction are taken out;
-    raw_off_n: that before; of the worst axis [N]
+    noise_n: deviation of a single report; smooth_n: deviation behind the low pass, about the mean of a second; off_n:
+    deviation of the mean's change within CHANGE_S, as in a touch after its zero, once bias and friction are taken out;
+    raw_off_n: that before; each that of the worst axis [N]
     least_singular: smallest singular value of the Jacobian at which it was found good; zeros: reports of exactly zero
     left_n: (PARTS,) what is left of the force in each part of the motion, as the others predict it"""
 

@@ -34,7 +34,7 @@ ZERO_READINGS = 25
 class ArmWrenchConfig:
     """How an arm's own force is read; `deformscope calibrate wrench` writes the errors.
 
-    filter_hz: of its low pass; rate_hz: the arm's, which is taken from it
+    filter_hz: limit of its low pass; rate_hz: the arm's, which is taken from it
     least_singular: least singular value of the Jacobian at which the force is used [m/rad]
     middle_deg, half_deg: (n,) middle and half width of the joints' learned range
     bias_n: (f, 3) bias in the base frame by the terms of `pose_terms` [N]; friction_n: (n, 3) friction once each joint
