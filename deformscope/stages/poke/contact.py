@@ -128,11 +128,10 @@ def fit_approach(
     tip [N], all in one frame; normal: (3,) outward normal of the surface; tip: its shape, which gives the prior mean of
     p; set_force_n: force at which the stiffness is taken. If the approach ended before that force, for example by its
     depth, the law is extrapolated and less certain
-    arm: how the arm yields, from `calibrate_compliance`; default a stiff arm that scatters by 0.1 mm
-    force_sd_n: noise of the force, default as it scatters before contact
-    exponent_sd: deviation of the prior of p; least_share: share of the set force, from which samples are fitted
-    gain_sd: deviation of log stiffness, for the sake of the force sensor's gain; off_n: deviation of the
-    force of this touch, besides its noise [N]; dents: the law, as `TipLaw.dents`
+    arm: how the arm yields, from `calibrate_compliance`; default a stiff arm that scatters by 0.1 mm; force_sd_n: noise
+    of the force, default as it scatters before contact; exponent_sd: deviation of the prior of p; least_share: share of
+    the set force, from which samples are fitted; gain_sd: deviation of log stiffness by the force sensor's gain; off_n:
+    deviation of this touch's force, besides its noise [N]; dents: the law, as `TipLaw.dents`
 
     The position is fitted as a function of the force, because the arm's scatter dominates: z = z0 + d (F / F0)^(1/p) +
     c F, least squares with a soft loss and a Gaussian prior on p."""
@@ -144,7 +143,6 @@ def fit_approach(
     at_force = set_force_n
     z = depth_along[loaded] - arm.compliance_m_per_n * force[loaded]
     share = np.maximum(force[loaded], 0.0) / at_force
-
     prior, start_sd = EXPONENT[tip], max(arm.position_sd_m, 1e-6)
     x = share ** (1.0 / prior)
     depth = float(((x - x.mean()) * (z - z.mean())).sum() / max(((x - x.mean()) ** 2).sum(), 1e-18))
@@ -172,7 +170,6 @@ def fit_approach(
     own_depth_sd, bent_m = float(np.sqrt(cov[1, 1])), arm.compliance_sd * at_force
     depth_sd = float(np.hypot(own_depth_sd, bent_m))
     arm_sd = arm.depth_sd_m(at_force)
-
     if depth < RIGID_SDS * arm_sd:
         bound = 1e-3 * at_force / (RIGID_SDS * arm_sd)
         stiffness, interval, log_sd, rigid = bound, (bound, np.inf), max(depth_sd, arm_sd) / (RIGID_SDS * arm_sd), True
@@ -181,10 +178,8 @@ def fit_approach(
         stiffness, rigid = 1e-3 * at_force / depth, False
         # the exponent beyond the peak may be another
         beyond = min(exponent_sd, EXPONENT_SD) * float(np.log(max(at_force / peak, 1.0))) / p**2
-        own_log_sd, arm_log_sd = (
-            float(np.linalg.norm([own_depth_sd / depth, LAW_SD, beyond, off_n / at_force])),
-            bent_m / depth,
-        )
+        own_log_sd = float(np.linalg.norm([own_depth_sd / depth, LAW_SD, beyond, off_n / at_force]))
+        arm_log_sd = bent_m / depth
         log_sd = float(np.linalg.norm([own_log_sd, arm_log_sd, gain_sd]))
         interval = (stiffness * float(np.exp(-Z_90 * log_sd)), stiffness * float(np.exp(Z_90 * log_sd)))
     rate, rate_interval = peak_rate(time_s[loaded], force[loaded], noise)
