@@ -3,7 +3,7 @@ other."""
 
 import base64
 import html
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from deformscope.arrays import FloatArray
@@ -212,8 +212,5 @@ def table_markdown(table: Table) -> str:
     width = max((len(row) for row in table.rows), default=len(table.names) or 1)
     names = table.names or [""] * width
     lines = [names, ["---"] * len(names), *table.rows]
-    return "\n".join([f"### {table.caption}", "", *(f"| {_markdown_cells(row)} |" for row in lines)])
-
-
-def _markdown_cells(row: Iterable[object]) -> str:
-    return " | ".join(str(cell).replace("|", "\\|") for cell in row)
+    cells = (" | ".join(str(cell).replace("|", "\\|") for cell in row) for row in lines)
+    return "\n".join([f"### {table.caption}", "", *(f"| {row} |" for row in cells)])

@@ -270,7 +270,8 @@ class _Body:
             if not np.isfinite(step).all():
                 return False
             size = 1.0
-            while size > 1e-3 and self._folds(moved + size * step.reshape(-1, 2)):
+            # no element folds
+            while size > 1e-3 and np.linalg.det(self._gradient(moved + size * step.reshape(-1, 2))).min() <= 0.05:
                 size *= 0.5
             moved += size * step.reshape(-1, 2)
             stiff = (1.0 - size) * stiff
@@ -279,9 +280,6 @@ class _Body:
     def _gradient(self, moved: FloatArray) -> FloatArray:
         """(elements, points, 2, 2) deformation gradient."""
         return np.asarray(np.eye(2) + np.einsum("eai,qaj->eqij", moved[self._elements], self._slopes, optimize=True))
-
-    def _folds(self, moved: FloatArray) -> bool:
-        return bool((np.linalg.det(self._gradient(moved)) <= 0.05).any())
 
     def _forces(self, moved: FloatArray, ratio: float) -> tuple[FloatArray, csr_matrix]:
         """Forces (2 n,) of the nodes on the material for a modulus of 1 and a thickness of 1, and their slopes."""
