@@ -1,5 +1,7 @@
 """`deformscope record`, `live`, `verify`, `recover`, `discard`, `replay`, `report`, `export`, `import`, `catalog`."""
 
+from typing import TYPE_CHECKING
+
 from deformscope.cli import common
 from deformscope.config import (
     CatalogConfig,
@@ -16,20 +18,26 @@ from deformscope.config import (
     VerifyConfig,
 )
 from deformscope.recording.losses import named
-from deformscope.runs.rig_run import RigRun, run_rig
+
+if TYPE_CHECKING:
+    from deformscope.runs.rig_run import RigRun
 
 
 def record(config: RecordConfig) -> int:
     """Record a rig, headless unless a viewer is requested. Returns the command's exit status."""
+    from deformscope.runs.rig_run import run_rig  # slow to import
+
     return _shown(run_rig(config, "none", always_record=True), config)
 
 
 def live(config: LiveConfig) -> int:
     """Show a rig in rerun's window, and record it on request. Returns the command's exit status."""
+    from deformscope.runs.rig_run import run_rig
+
     return _shown(run_rig(config, "native", always_record=False), config)
 
 
-def _shown(run: RigRun, config: RigRunOptions) -> int:
+def _shown(run: "RigRun", config: RigRunOptions) -> int:
     """Print the summary of the recording; the command's exit status."""
     common.show(run.result)
     common.write_json(run.result.as_json(), config.output.json)

@@ -141,6 +141,19 @@ def test_the_end_of_a_command_searches_no_objects() -> None:
     assert not run.stderr
 
 
+@pytest.mark.parametrize(
+    ("line", "unused"),
+    [
+        ("verify recordings/rig.rrd", "warp scipy.interpolate"),
+        ("calibrate beta sample:pair --viewer none", "pyarrow rich scipy.interpolate scipy.ndimage"),
+    ],
+)
+def test_a_command_imports_nothing_large_that_it_does_not_use(line: str, unused: str) -> None:
+    imported = f"set({unused.split()}) & set(sys.modules)"
+    run = run_python("-c", f"import sys; from deformscope import cli; cli.main({line.split()}); print({imported})")
+    assert run.stdout.splitlines()[-1] == "set()", run.stderr
+
+
 def test_runs_as_a_module() -> None:
     shown = run_python("-m", "deformscope", "--version")
     assert (shown.returncode, shown.stderr) == (0, "")
