@@ -11,13 +11,15 @@ from deformscope.arrays import BoolArray, FloatArray
 from deformscope.experiments.explore.options import ExploreOptions
 from deformscope.experiments.explore.robot_geometry import AsMeasured, Touch
 from deformscope.experiments.measured import SetupGeometry
-from deformscope.robot.touch import PERIOD_S, TARE_PERIODS, Phase, TouchPlan, TouchStateMachine
+from deformscope.robot.readings import PERIOD_NS
+from deformscope.robot.touch import TARE_PERIODS, Phase, TouchPlan, TouchStateMachine
 from deformscope.robot.travel import PASSED_M, REACHED_M, capped
 from deformscope.stages.regions.touches import MapGrid
 from studies.touching import Approach
 
 Reachable = Callable[[MapGrid], BoolArray]
 
+PERIOD_S = PERIOD_NS / 1e9
 TARE_S = (TARE_PERIODS + 5) * PERIOD_S
 AT_MOST_S = 60.0
 
