@@ -324,9 +324,7 @@ class _Runs:
         except TargetFailed as error:
             target = self._config.target
             hint = f"a shorter --timestep-s, a longer --limit-s, or {target} {TARGETS[target].tried}"
-            raise InputError(
-                "the target to press the body", f"{target} {self._target.version}: {error}", hint
-            ) from None
+            raise InputError("the target to press the body", str(error), hint) from None
         return [self._known[parameters, one.name] for one in pokes]
 
     def _press(

@@ -37,7 +37,7 @@ TARGETS = {
 
 
 class TargetFailed(Exception):
-    """The target's own error, in one line."""
+    """The target's own error, in one line with its version."""
 
 
 class TargetProcess:
@@ -45,7 +45,7 @@ class TargetProcess:
     start, or does not find the target."""
 
     def __init__(self, target: str, python: Path | None = None) -> None:
-        self.target, self._python = target, sys.executable
+        self.target, self.version, self._python, self._over = target, "", sys.executable, ""
         if python is not None:
             self._python = shutil.which(python) or str(python.absolute())
         script = Path(__file__).with_name(f"{target}_child.py")
@@ -76,23 +76,28 @@ class TargetProcess:
 
     def ask(self, request: dict[str, object], keep_on: Callable[[], bool] = lambda: True) -> Iterator[dict[str, Any]]:
         """The answers to a request, as they come. keep_on: asked while none comes; without it the process is ended.
-        Raises TargetFailed with the target's error."""
+        Raises TargetFailed with the target's error, and again once the process is over."""
         assert self._process.stdin is not None
+        if self._over:
+            raise self._failed(self._over)
         with contextlib.suppress(OSError):  # what it said is below
             self._process.stdin.write(json.dumps(request) + "\n")
             self._process.stdin.flush()
         for _ in cast("Sequence[object]", request.get("pokes", (None,))):
             if (line := self._next(keep_on)) is None:
-                self._process.wait(END_S)
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    self._process.wait(END_S)
                 self._said.seek(0)
                 last = self._said.read().decode(errors="replace").strip().splitlines() or ["no message"]
-                raise TargetFailed(f"ended with status {self._process.returncode}: {last[-1]}")
+                self.close()
+                self._over = f"ended with status {self._process.returncode}: {last[-1]}"
+                raise self._failed(self._over)
             try:
                 found = json.loads(line)
             except ValueError:
-                raise TargetFailed(f"no JSON: {line.strip()[:80]}") from None
+                raise self._failed(f"no JSON: {line.strip()[:80]}") from None
             if "error" in found:
-                raise TargetFailed(found["error"])
+                raise self._failed(found["error"])
             yield found
 
     def _next(self, keep_on: Callable[[], bool]) -> str | None:
@@ -102,7 +107,11 @@ class TargetProcess:
             except queue.Empty:
                 if not keep_on():
                     self.close()
-                    raise TargetFailed("stopped") from None
+                    self._over = "stopped"
+                    raise self._failed(self._over) from None
+
+    def _failed(self, text: str) -> TargetFailed:
+        return TargetFailed(f"{self.target} {self.version}: {text}" if self.version else text)
 
     def close(self) -> None:
         """End the process."""

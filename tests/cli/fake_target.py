@@ -1,7 +1,7 @@
 """Stands in for a simulator's process: a slab that answers as a spring, proportional to its modulus.
 
-FAKE_TARGET says how it misbehaves: missing, crash, garbage, error, hang, slow; interrupt: a person presses
-Ctrl-C at its fifth run."""
+FAKE_TARGET says how it misbehaves: missing, crash, garbage, error, hang, slow; deaf: it closes its
+output and goes on; interrupt: a person presses Ctrl-C at its fifth run."""
 
 import json
 import os
@@ -28,7 +28,10 @@ def main() -> None:
         if HOW == "crash":
             print("it ran out of memory", file=sys.stderr)
             sys.exit(7)
-        if HOW == "hang":
+        if HOW == "deaf":
+            print("its output was closed", file=sys.stderr, flush=True)
+            os.close(1)
+        if HOW in ("hang", "deaf"):
             time.sleep(600.0)
         if HOW == "garbage":
             print("not JSON", flush=True)

@@ -127,8 +127,8 @@ def test_a_recording_has_its_own_pokes(folder: Path, capsys: Capture) -> None:
     ("how", "said"),
     [
         ("missing", "expected {} in"),
-        ("crash", "ended with status 7: it ran out of memory"),
-        ("garbage", "no JSON: not JSON"),
+        ("crash", "{} 0.0.1: ended with status 7: it ran out of memory"),
+        ("garbage", "{} 0.0.1: no JSON: not JSON"),
         ("error", "{} 0.0.1: ValueError: unknown attribute 'dof'"),
     ],
 )
