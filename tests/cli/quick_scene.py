@@ -55,7 +55,9 @@ class _Layers:
         self._world = LayerWorld(scene, radius_m=0.01)
 
     def press(self, tip: RigidTip, center_m: FloatArray) -> Any:
-        return SimpleNamespace(force_n=self._world.press(center_m), node=np.arange(self._world.pressed[2] > 0.0))
+        return SimpleNamespace(
+            center_m=center_m, force_n=self._world.press(center_m), node=np.arange(self._world.pressed[2] > 0.0)
+        )
 
     def displaced_m(self, contact: Any, places_m: FloatArray) -> FloatArray:
         return self._world.displaced_m(places_m)

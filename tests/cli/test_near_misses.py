@@ -13,7 +13,7 @@ from deformscope.cli import main
         (["explore", "lab:two-6o-150"], "try: two-60-150"),
         (["calibrate", "beta", "tension"], "try: sample:tension"),
         (["calibrate", "beta", "sample:tensio"], "try: sample:tension"),
-        (["calibrate", "both", "pairs"], "try: sample:pair"),
+        (["calibrate", "theta", "pairs"], "try: sample:pair"),
         (["record", "bensh"], "try: lab:bench"),
         (["explor"], "try: deformscope explore"),
     ],

@@ -49,7 +49,7 @@ def test_a_misspelt_key_is_an_error_that_names_the_right_one() -> None:
     [
         ("", "at least one [devices.NAME] section; got none"),
         ("[devices]", "at least one [devices.NAME] section"),
-        ("[devices.a]\nport = 'x'", "driver out of depth_camera, dsa, image_folder"),
+        ("[devices.a]\nport = 'x'", "driver out of arm, depth_camera, dsa, image_folder"),
         ("[devices.a]\ndriver = 'optofarce'", "got 'optofarce' | try: driver = \"optoforce\" | "),
         ("[devices.a]\ndriver = 'franka'", "got 'franka' | try: pip install its package, or deformscope new-device"),
         ('[devices."a b"]\ndriver = "dsa"', "a device's name of letters, digits, - and _, 64 at most; got 'a b'"),
