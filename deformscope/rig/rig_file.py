@@ -475,7 +475,9 @@ def _read(kind: type[Any], given: object, section: str) -> Any:
         raise InputError(f"{section} with valid keys", came) from error
     except InputError as error:
         expected, _, came = str(error).removeprefix("expected ").partition("; got ")
-        raise InputError(f"{section} with {expected}", came, "lengths in m, forces in N, speeds in m/s") from error
+        came, _, advice = came.partition(" | try: ")
+        advice = advice or "lengths in m, forces in N, speeds in m/s"
+        raise InputError(f"{section} with {expected}", came, advice) from error
     except DeviceError as error:
         raise InputError.about(error, section) from error
     except Exception as error:  # a driver's own check; its errors are not of one kind

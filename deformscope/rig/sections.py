@@ -12,9 +12,9 @@ import numpy as np
 from deformscope.errors import InputError
 
 
-def check(right: object, expected: str, came: object) -> None:
+def check(right: object, expected: str, came: object, try_this: str = "") -> None:
     if not right:
-        raise InputError(expected, str(came))
+        raise InputError(expected, str(came), try_this)
 
 
 def check_transform(name: str, rows: tuple[tuple[float, ...], ...]) -> None:
@@ -26,7 +26,10 @@ def check_transform(name: str, rows: tuple[tuple[float, ...], ...]) -> None:
     with np.errstate(over="ignore", invalid="ignore"):  # of numbers beyond all use
         turned, mirrored = np.abs(turn @ turn.T - np.eye(3)).max() < 1e-3, np.linalg.det(turn) <= 0
     check(turned, f"{name} whose rotation is one", f"rows {turn.tolist()}")
-    check(not mirrored, f"{name} that is no mirror image", f"rows {turn.tolist()}")
+    advice = (
+        "reverse one of its axes: x, y and z of a right hand; or remove the key and measure it, deformscope calibrate"
+    )
+    check(not mirrored, f"{name} that is no mirror image", f"rows {turn.tolist()}", advice)
     check(max(abs(row[3]) for row in rows[:3]) < 10, f"{name} in metres", [row[3] for row in rows[:3]])
 
 

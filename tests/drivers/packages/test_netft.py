@@ -239,6 +239,16 @@ def test_a_page_that_does_not_fit_is_refused_with_what_to_do(
         NetftSensor(NetftConfig(port=wire.port, http_port=page.port, **settings)).open()
 
 
+def test_a_page_of_anything_else_is_refused_or_not_needed(wire: DatagramWire, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(NetftPage, "content", lambda page: b"<html><body>a printer</body></html>")
+    with NetftPage() as page:
+        config = NetftConfig(port=wire.port, http_port=page.port)
+        with pytest.raises(SettingsRefused, match="a page with counts"):
+            NetftSensor(config).open()
+        with NetftSensor(dataclasses.replace(config, **KNOWN)).open() as sensor:
+            assert sensor.next(PATIENCE_S).usable
+
+
 def test_without_a_page_it_asks_for_the_counts(wire: DatagramWire) -> None:
     with NetftPage() as page:
         gone = page.port

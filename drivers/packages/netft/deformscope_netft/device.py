@@ -10,7 +10,7 @@ import numpy as np
 from deformscope_drivers.clock import Clock, ClockFit, Stamp, monotonic_ns
 from deformscope_drivers.device import ROUND_S, StreamDevice
 from deformscope_drivers.errors import NotConnected, SettingsRefused
-from deformscope_drivers.health import Description, Identity
+from deformscope_drivers.health import Description, Identity, Link
 from deformscope_drivers.interface import FloatArray, Wrench
 from deformscope_drivers.transport import Transport, UdpTransport
 from deformscope_netft.config import HexConfig, NetftConfig
@@ -31,6 +31,8 @@ PAGE_BYTES, PAGE_S = 1 << 16, 2.0
 SILENCE_S = 1.0
 LATE_RECORDS = 1000
 """Missing records that are remembered: one of them that comes after all was late."""
+GAIN_OFF = 0.02
+"""Greatest share by which counts of the rig file may be off those of the page."""
 AGAIN_RECORDS = 3
 """Records in sequence, further back than the last one, from which a stream has begun again."""
 STILL_READINGS, STILL_N, STILL_NM = 50, 0.5, 0.05
@@ -112,6 +114,7 @@ class NetftSensor(StreamDevice[Wrench]):
         self.config = config
         self._measurer = Measurer(config)
         self._page: Calibration | None = None
+        self._networked = transport is None
         super().__init__(
             transport or UdpTransport(config.port),
             silence_s=max(SILENCE_S, 10.0 / config.rate_hz),
@@ -138,7 +141,8 @@ class NetftSensor(StreamDevice[Wrench]):
 
     def _start(self) -> None:
         self._measurer = Measurer(self.config)
-        if isinstance(self.config, NetftConfig) and (self.config.counts_per_n is None or self.config.serial):
+        looks = self._networked and self._link is not Link.LOST
+        if isinstance(self.config, NetftConfig) and (looks or self._wants_page(self.config)):
             self._read_page(self.config)
         self._send(request(Command.STOP))
         self._transport.drain(ROUND_S, ROUND_S)
@@ -168,28 +172,42 @@ class NetftSensor(StreamDevice[Wrench]):
 
     # Within: all in the device's thread ------------------------------------------------------------------------------
 
+    @staticmethod
+    def _wants_page(config: NetftConfig) -> bool:
+        return config.counts_per_n is None or bool(config.serial)
+
     def _read_page(self, config: NetftConfig) -> None:
-        """Read the sensor's page, and keep it among the recorded bytes: a replay has its calibration too."""
+        """Read the sensor's page, and keep it among the recorded bytes: a replay has its calibration too. Where the
+        configuration needs nothing of it, one that cannot be read is no error."""
         host = urllib.parse.urlsplit(config.port).hostname or ""
         where = f"http://{host}:{config.http_port}{PAGE}"
-        advice = "counts_per_n and counts_per_nm, from the sensor's page in a browser"
+        advice = "`port` with its address; where its page is off, counts_per_n and counts_per_nm of its calibration"
         link = http.client.HTTPConnection(host, config.http_port, timeout=PAGE_S)
         try:
             link.request("GET", PAGE)
             content = link.getresponse().read(PAGE_BYTES)
         except (OSError, http.client.HTTPException) as error:
+            if not self._wants_page(config):
+                return
             came = " ".join(str(error).split()) or type(error).__name__
             raise NotConnected("the sensor's page", came, advice, where) from error
         finally:
             link.close()
         content = content.lstrip()
-        page = next(iter(Decoder().feed(content))) if content.startswith(b"<") else None
+        page = next(iter(Decoder().feed(content)), None) if content.startswith(b"<") else None
         if not isinstance(page, Calibration):
+            if not self._wants_page(config):
+                return
             raise SettingsRefused("a page with counts per force and torque, and known units", "another", advice, where)
         if page.rate_hz and page.rate_hz != config.rate_hz:
             raise SettingsRefused(f"rate_hz = {page.rate_hz:g}, as on its page", f"{config.rate_hz:g}", where=where)
         if config.serial and page.serial != config.serial:
             raise SettingsRefused(f"serial number {config.serial}", page.serial or "none", "another port", where)
+        for name in ("counts_per_n", "counts_per_nm"):
+            given, right = getattr(config, name), getattr(page, name)
+            if given is not None and abs(given / right - 1.0) > GAIN_OFF:
+                try_this = "take both keys out of the rig file: the page's counts are then used"
+                raise SettingsRefused(f"{name} = {right:g}, as on its page", f"{given:g}", try_this, where)
         self._record_raw(content, self._clock())
         self._measurer.learn(page)
         self._page = page

@@ -350,7 +350,8 @@ class Ur(Arm[ArmState]):
         elif self._values[HELD] == TOO_FAST:
             self._forget("its script refused a velocity beyond the limit")
         elif fastest_deg_s > RATE_TIMES * asked_deg_s + RATE_DEG_S:
-            self._forget(f"a joint turned at {fastest_deg_s:.1f} deg/s, and at most {asked_deg_s:.1f} was asked")
+            rates = f"a joint turned at {fastest_deg_s:.1f} deg/s, and at most {asked_deg_s:.1f} was asked"
+            self._forget(f"{rates}: end other programs that move it; else its controller scales velocities: repair it")
 
     def _send(self) -> None:
         """The present velocity, and the next heartbeat."""
