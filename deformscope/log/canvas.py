@@ -73,6 +73,12 @@ class Canvas:
         return self.low[0] + self.width * (0.1 + 0.2 * place), self.high[1] + below
 
     @property
+    def heights(self) -> str:
+        """Words for a title on how many times heights are drawn out; empty where they are not."""
+        times = self.scale[2] if len(self.scale) > 2 else 1.0
+        return f", heights drawn {times:g} times" if times > 1.0 else ""
+
+    @property
     def rim(self) -> float:
         """Margin for the marks of particles at the edge; an image needs none."""
         return 0.0 if self.image else 0.4 * self.spacing

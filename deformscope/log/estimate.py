@@ -158,7 +158,7 @@ def _log_deep(rec: rr.RecordingStream, comparison: Comparison, length: FloatArra
         rec.log("particles/net", rr.LineStrips3D(net, radii=radius * 0.03, colors=SIMULATED))
     marks = [(0.0, "rest", REST), (0.5, "observed", OBSERVED), (1.0, "simulated", SIMULATED)]
     log_deep_legend(rec, "particles/legend", canvas, marks)
-    if drawn := _heights(canvas):
+    if drawn := canvas.heights:
         log_deep_legend(rec, "particles/legend/heights", canvas, [(0.5, drawn.strip(", "), RING)], row=1)
     known = np.isfinite(length) & inside
     tints = colors(length[known] / end)
@@ -205,19 +205,13 @@ def _log_deep_heat(
     rec.log("heat/worst", rr.LineStrips3D([[at, at + out]], radii=0.06 * canvas.spacing, colors=RING))
     log_deep_legend(rec, "heat/legend", canvas, _deep_bar(comparison, end))
     log_deep_legend(
-        rec, "heat/legend/worst", canvas, [(0.5, f"{_worst(comparison, length[known])}{_heights(canvas)}", RING)], row=1
+        rec, "heat/legend/worst", canvas, [(0.5, f"{_worst(comparison, length[known])}{canvas.heights}", RING)], row=1
     )
 
 
 def _deep_bar(comparison: Comparison, end: float) -> list[tuple[float, str, Rgb]]:
     factor, unit = readable(comparison.unit, end)
     return deep_bar(lambda share: f"{share * end * factor:g} {unit}")
-
-
-def _heights(canvas: Canvas) -> str:
-    """Words for a title on how many times heights are drawn out; empty where they are not."""
-    times = canvas.scale[2] if canvas.scale else 1.0
-    return f", heights drawn {times:g} times" if times > 1.0 else ""
 
 
 def log_estimate(rec: rr.RecordingStream, estimate: Estimate, canvas: Canvas) -> None:

@@ -10,14 +10,15 @@ import rerun.blueprint as rrb
 
 from deformscope.frames import Stream
 from deformscope.log.blueprint import blueprint, deep_view
-from deformscope.log.canvas import Canvas, deep_bar, log_color_bar, log_deep_legend, log_place
+from deformscope.log.canvas import Canvas, deep_bar, log_color_bar, log_deep_legend, log_place, sides_of
 from deformscope.log.layout import PictureLayout
 from deformscope.log.rig.blueprint import blueprint_of
-from deformscope.pictures.palette import Rgb, colors, round_up
-from deformscope.pictures.report import ColoredBody, Figure, Findings, table_markdown
+from deformscope.pictures.close_up import RELIEF
+from deformscope.pictures.palette import Rgb, colors, round_down, round_up
+from deformscope.pictures.report import ColoredBody, ComparedSurfaces, Figure, Findings, table_markdown
 from deformscope.plain import plain
 from deformscope.rows import to_columns
-from deformscope.stages.see.triangulation import spacing_of
+from deformscope.stages.see.triangulation import spacing_of, triangulate
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,8 +86,13 @@ def _log_tables(rec: rr.RecordingStream, found: Findings, path: str, *, whole: b
     rec.log(path, rr.AnyValues(json=json.dumps(plain(found.tables))), static=whole)
 
 
-def _log_body(rec: rr.RecordingStream, body: ColoredBody, path: str, legend: str, canvas: Canvas) -> None:
+def _log_body(
+    rec: rr.RecordingStream, body: ColoredBody | ComparedSurfaces, path: str, legend: str, canvas: Canvas
+) -> None:
     """Points in their colours, grey without a value, and the legend that the canvas has room for."""
+    if isinstance(body, ComparedSurfaces):
+        _log_surfaces(rec, body, path, legend, canvas)
+        return
     known, largest = np.isfinite(body.value), float(np.nanmax(body.value, initial=0.0)) or 1.0
     end = round_up(largest, STEPS) if canvas.spacing else largest
     tints, radius = np.where(known[:, None], colors(body.value / end), UNKNOWN), 0.3 * spacing_of(body.points)
@@ -101,8 +107,28 @@ def _log_body(rec: rr.RecordingStream, body: ColoredBody, path: str, legend: str
     log_deep_legend(rec, legend, canvas, deep_bar(lambda share: f"{end * share:.2g}"))
 
 
-def _around(body: ColoredBody) -> Canvas:
+def _log_surfaces(rec: rr.RecordingStream, body: ComparedSurfaces, path: str, legend: str, canvas: Canvas) -> None:
+    """Points and nets between them in metres, drawn with magnified heights."""
+    spacing = spacing_of(body.parts[0][1])
+    for number, (name, points, tint) in enumerate(body.parts):
+        log_place(rec, canvas, f"{path}/{name}")
+        rec.log(f"{path}/{name}", rr.Points3D(points, radii=(0.08 - 0.01 * number) * spacing, colors=tint))
+        net = points[sides_of(triangulate(points[:, :2]))]
+        rec.log(f"{path}/{name}/net", rr.LineStrips3D(net, radii=0.02 * spacing, colors=tint))
+    share = 1.0 / max(len(body.parts) - 1, 1)
+    log_deep_legend(rec, legend, canvas, [(share * at, name, tint) for at, (name, _, tint) in enumerate(body.parts)])
+    if canvas.heights:
+        log_deep_legend(rec, f"{legend}/heights", canvas, [(0.5, canvas.heights.strip(", "), UNKNOWN)], row=1)
+
+
+def _around(body: ColoredBody | ComparedSurfaces) -> Canvas:
     low, high = body.points.min(axis=0), body.points.max(axis=0)
+    if isinstance(body, ComparedSurfaces):
+        *sides, deep = high - low
+        scale = np.array([1.0, 1.0, max(round_down(RELIEF * max(sides) / deep), 1.0) if deep > 0.0 else 1.0])
+        middle, half = 0.5 * (low + high), 0.5 * (high - low) * scale
+        ends = {"low": tuple((-half).tolist()), "high": tuple(half.tolist())}
+        return Canvas(**ends, origin=tuple(middle.tolist()), scale=tuple(scale.tolist()))
     ground = (0.0,) * (3 - len(low))
     return Canvas(low=(*map(float, low), *ground), high=(*map(float, high), *ground))
 
@@ -117,7 +143,7 @@ def findings_blueprint(found: Findings, below: rrb.Blueprint | None = None) -> r
         rrb.Spatial2DView(origin=f"/found/picture/{number}", name=figure.caption, background=[255, 255, 255])
         for number, figure in enumerate(found.figures)
     ]
-    views = [*bodies, *pictures]
+    views = [*([rrb.Horizontal(*bodies)] if len(bodies) > 1 else bodies), *pictures]
     root: rrb.Container | rrb.View = rrb.TextDocumentView(origin="/found/tables", name="Numbers")
     if views:
         short = sum(len(one.rows) for one in found.tables) <= SHORT

@@ -11,9 +11,10 @@ from deformscope.arrays import FloatArray
 Rgb = tuple[int, int, int]
 ColorArray = npt.NDArray[np.uint8]
 
-# Thesis fig. 3.12: observed blue, simulated red; rest green.
+# Thesis fig. 3.12: observed blue, simulated red; rest green. Of another simulator: green too, without rest.
 OBSERVED: Rgb = (40, 110, 255)
 SIMULATED: Rgb = (235, 45, 45)
+TARGET: Rgb = (42, 157, 74)
 REST: Rgb = (30, 190, 80)
 LOST: Rgb = (245, 245, 245)
 HELD: Rgb = (255, 200, 0)

@@ -6,8 +6,11 @@ import html
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from deformscope.arrays import FloatArray
 from deformscope.errors import printable
+from deformscope.pictures.palette import Rgb
 
 STYLE = """
 :root { color-scheme: light; }
@@ -175,12 +178,25 @@ class ColoredBody:
 
 
 @dataclass(frozen=True, slots=True)
+class ComparedSurfaces:
+    """The same points (K, 3) [m] of a surface from several sources: of each its name, positions and colour."""
+
+    caption: str
+    parts: tuple[tuple[str, FloatArray, Rgb], ...]
+
+    @property
+    def points(self) -> FloatArray:
+        """(n, 3) all of them [m]."""
+        return np.concatenate([points for _, points, _ in self.parts])
+
+
+@dataclass(frozen=True, slots=True)
 class Findings:
     """Tables, pictures and bodies, each with its caption, the most important ones first."""
 
     tables: tuple[Table, ...]
     figures: tuple[Figure, ...] = ()
-    bodies: tuple[ColoredBody, ...] = ()
+    bodies: tuple[ColoredBody | ComparedSurfaces, ...] = ()
 
     def __str__(self) -> str:
         return "\n".join(table_text(one) for one in self.tables)

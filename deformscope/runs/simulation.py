@@ -16,7 +16,9 @@ from deformscope.files.model_file import load_model
 from deformscope.files.pairs import parse_pair
 from deformscope.log.layout import FINDINGS
 from deformscope.pictures.figures import MEASURED, SIMULATED, canvas, png_of
-from deformscope.pictures.report import ColoredBody, Figure, Findings, Table
+from deformscope.pictures.palette import OBSERVED, TARGET, hexadecimal
+from deformscope.pictures.palette import SIMULATED as MSM
+from deformscope.pictures.report import ColoredBody, ComparedSurfaces, Figure, Findings, Table
 from deformscope.plain import Json, plain
 from deformscope.recording.items import read_results
 from deformscope.runs.prediction import poke_of
@@ -47,7 +49,6 @@ from deformscope.stages.simulate.target_fit import (
 )
 from deformscope.terminal import Interruption, Progress, say, until_interrupted
 
-TARGET = "#2a9d4a"
 POISSON = 0.3
 """Poisson's ratio at the start of the fit."""
 DEPTHS = (0.4, 0.7, 1.0)
@@ -202,18 +203,27 @@ class SimulationResult(SourceResult):
     def figures(self) -> tuple[Figure, ...]:
         return tuple(self._figure(one) for one in self.pokes)
 
+    def surfaces(self, one: PokeAnswer) -> ComparedSurfaces:
+        """The surface under a poke as measured, by shape matching, and in the simulator, where that has a body."""
+        seen, (x, y) = one.poke.seen, self.mesh.axes[:2]
+        inside = (seen.points[:, :2] >= (x[0], y[0])) & (seen.points[:, :2] <= (x[-1], y[-1]))
+        near, moved = inside.all(axis=1), surface_moved(self.mesh, one.poke, one.answer)
+        parts = [("measured", seen.moved, OBSERVED), ("MSM", one.msm_moved, MSM), (self.target, moved, TARGET)]
+        shown = tuple((name, (seen.points + by)[near], tint) for name, by, tint in parts if by is not None)
+        return ComparedSurfaces(f"Surface under the poke: {', '.join(name for name, _, _ in shown)}", shown)
+
     def _figure(self, one: PokeAnswer) -> Figure:
         figure = canvas(8.4, 3.4, layout="constrained")
         left, right = figure.subplots(1, 2)
         seen, poke = one.poke.seen, one.poke
         left.plot(1e3 * poke.depth, poke.force, "x-", color=MEASURED, label="measured")
-        left.plot(1e3 * poke.depth, one.answer.force, "s--", ms=4, color=TARGET, label=self.target)
+        left.plot(1e3 * poke.depth, one.answer.force, "s--", ms=4, color=hexadecimal(TARGET), label=self.target)
         if one.msm is not None and one.msm.force is not None:
             left.plot(1e3 * seen.depth, one.msm.force, "o", ms=4, color=SIMULATED, label="MSM")
         for other in self.pokes:  # faint: all pokes in one plot
             shade = {"color": MEASURED, "alpha": 0.4}
             left.plot(1e3 * other.poke.depth, other.poke.force, "x:", **shade)
-            left.plot(1e3 * other.poke.depth, other.answer.force, "s:", ms=3, **shade | {"color": TARGET})
+            left.plot(1e3 * other.poke.depth, other.answer.force, "s:", ms=3, **shade | {"color": hexadecimal(TARGET)})
         deepest = max(float(other.poke.depth.max()) for other in self.pokes)
         most = max(float(np.max([other.poke.force, other.answer.force])) for other in self.pokes)
         left.set(xlabel="depth [mm]", ylabel="force [N]", xlim=(0.0, 1.1e3 * deepest), ylim=(0.0, 1.1 * most))
@@ -222,7 +232,7 @@ class SimulationResult(SourceResult):
         near = near[np.argsort(seen.points[near, 0])]
         along = 1e3 * (seen.points[near, 0] - seen.at[0])
         moved = [(seen.moved, "x", MEASURED, "measured"), (one.msm_moved, "o", SIMULATED, "MSM")]
-        moved += [(surface_moved(self.mesh, poke, one.answer), "s", TARGET, self.target)]
+        moved += [(surface_moved(self.mesh, poke, one.answer), "s", hexadecimal(TARGET), self.target)]
         for values, mark, colour, name in moved:
             if values is not None:
                 right.plot(along, 1e3 * values[near, 2], mark, ms=4, color=colour, label=name)
@@ -291,7 +301,8 @@ def simulate(config: SimulateConfig, progress: Progress | None = None) -> Simula
             moved_mm = 1e3 * np.linalg.norm(one.answer.moved, axis=1)
             position = one.answer.rest + one.answer.moved
             shown = ColoredBody(f"{config.target}: vertices by their displacement [mm]", position, moved_mm)
-            recorder.write(Step((Findings(result.tables(), (figure,), (shown,)),), frame=number))
+            bodies = (shown, result.surfaces(one))
+            recorder.write(Step((Findings(result.tables(), (figure,), bodies),), frame=number))
     return replace(result, recording=recorder.summary())
 
 

@@ -10,16 +10,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 import deformscope as ds
 from deformscope.cli import main
+from deformscope.files.model_file import load_model
+from deformscope.files.pairs import parse_pair
 from deformscope.recording.items import read_results
 from deformscope.simulators.body_files import write_body
 from deformscope.simulators.target_process import target_process
 from deformscope.stages.map.exploration import TouchEstimate
+from deformscope.stages.poke.comparison import predict_seen
+from deformscope.stages.poke.poke_fit import seen_poke
 from deformscope.stages.simulate.slab_mesh import slab_mesh
 from deformscope.stages.simulate.target_fit import TargetParameters
 from tests.cases import Capture, Patch
+from tests.log.test_log import values
 from tests.stages.pokes import SPACING, THICKNESS, poked
 
 STAND_IN = Path(__file__).with_name("fake_target.py")
@@ -77,6 +83,41 @@ def test_the_needed_modulus_is_fitted_and_pokes_are_held_out(folder: Path, capsy
     elasticity = body.find("worldbody/flexcomp/elasticity")
     assert elasticity is not None
     assert float(elasticity.attrib["young"]) == pytest.approx(told["needed"]["young_pa"], rel=1e-5)
+
+
+def test_measured_msm_and_target_lie_in_one_view(folder: Path) -> None:
+    """In their colours, for each poke at the points that were measured; the stand-in moves vertices near the tip's axis
+    straight down, by the depth."""
+    record = folder / "surfaces.rrd"
+    assert main(command(folder, "--record", str(record), "--overwrite")) == 0
+    fitted = load_model(folder / "model.npz")
+    for frame in range(3):
+        seen = seen_poke(parse_pair((folder / f"poke{frame}.npz").read_bytes(), folder / f"poke{frame}.npz"))
+        found, tint = {}, {}
+        for name in ("measured", "MSM", "mujoco"):
+            entity = f"/found/body/1/{name}"
+            found[name] = np.array(values(record, entity, "Points3D:positions", frame))
+            tint[name] = values(record, entity, "Points3D:colors", frame)
+            scale = np.array(values(record, entity, "Transform3D:scale", frame)[0])
+            assert scale[:2].tolist() == [1.0, 1.0]
+        assert [tint[name][0] >> 8 for name in found] == [0x286EFF, 0xEB2D2D, 0x2A9D4A]
+        away, row = cKDTree(seen.points + seen.moved).query(found["measured"])
+        assert away.max() < 1e-6
+        assert len(row) > 20
+        points = seen.points[row]
+        np.testing.assert_allclose(found["MSM"], points + predict_seen(fitted, seen)[1][row], atol=1e-6)
+        np.testing.assert_allclose(found["mujoco"][:, :2], points[:, :2], atol=1e-6)
+        vertices = np.array(values(record, "/found/body/0", "Points3D:positions", frame))
+        across = np.unique(vertices[:, 0])
+        tops = np.array([vertices[vertices[:, 0] == x, 2].max() for x in across])
+        sinks = tops.max() - tops
+        assert sinks.max() == pytest.approx(seen.depth, rel=1e-4)
+        sunk = points[:, 2] - found["mujoco"][:, 2]
+        np.testing.assert_allclose(sunk, np.interp(points[:, 0], across, sinks), atol=1e-6)
+        said = values(record, "/found/body/1/legend/label", "Points3D:labels", frame)
+        assert said == ["measured", "MSM", "mujoco"]
+        drawn = values(record, "/found/body/1/legend/heights/label", "Points3D:labels", frame)
+        assert drawn == [f"heights drawn {scale[2]:g} times"]
 
 
 def test_the_meshes_for_others_hold_the_body_and_its_fields(folder: Path) -> None:
