@@ -72,6 +72,27 @@ def control_script(config: UrConfig, session: int) -> str:
     return re.sub(r"{{(\w+)}}", lambda name: str(values[name[1]]), SCRIPT_FILE.read_text("utf-8"))
 
 
+def state_of(values: Mapping[str, Any], chain: kinematics.Chain, host_ns: int) -> ArmState:
+    """The state in a report that came at a time [ns]. values: its variables"""
+    joints_deg = _degrees_of(values["actual_q"])
+    pose = chain.end_effector(joints_deg)
+    x, y, z = pose[:3, 3].tolist()
+    theta_x, theta_y, theta_z = kinematics.euler_xyz_from_rotation(pose[:3, :3]).tolist()
+    return ArmState(
+        stamp=Stamp(host_ns, round(1e6 * values["timestamp"])),
+        joints_deg=joints_deg,
+        rates_deg_s=_degrees_of(values["actual_qd"]),
+        position_m=(x, y, z),
+        theta_rad=(theta_x, theta_y, theta_z),
+        wrench=values["actual_TCP_force"],
+        currents=values["actual_current"],
+    )
+
+
+def _degrees_of(angles_rad: Iterable[float]) -> tuple[float, ...]:
+    return tuple(map(math.degrees, angles_rad))
+
+
 class Ur(Arm[ArmState]):
     """`with Ur(UrConfig(port="socket://192.168.1.7:30004")) as arm:`; it must be switched on and in remote control."""
 
@@ -250,7 +271,7 @@ class Ur(Arm[ArmState]):
             self._transport.wake()
 
     def _receive(self, timeout_s: float) -> Iterable[ArmState]:
-        states = [self._state(host_ns) for host_ns in self._reports(timeout_s)]
+        states = [state_of(self._values, self._chain, host_ns) for host_ns in self._reports(timeout_s)]
         if self._clock() - self._heard_ns > LOST_S * 1e9:
             raise errors.LinkLost("reports of the controller", f"none for {LOST_S:g} s", "its network", self.name)
         return states
@@ -387,23 +408,8 @@ class Ur(Arm[ArmState]):
         self._transport.write(data)
         self._record_raw(data, self._clock(), sent=True)
 
-    def _state(self, host_ns: int) -> ArmState:
-        joints_deg, values = self._degrees("actual_q"), self._values
-        pose = self._chain.end_effector(joints_deg)
-        x, y, z = pose[:3, 3].tolist()
-        theta_x, theta_y, theta_z = kinematics.euler_xyz_from_rotation(pose[:3, :3]).tolist()
-        return ArmState(
-            stamp=Stamp(host_ns, round(1e6 * values["timestamp"])),
-            joints_deg=joints_deg,
-            rates_deg_s=self._degrees("actual_qd"),
-            position_m=(x, y, z),
-            theta_rad=(theta_x, theta_y, theta_z),
-            wrench=values["actual_TCP_force"],
-            currents=values["actual_current"],
-        )
-
     def _degrees(self, name: str) -> tuple[float, ...]:
-        return tuple(map(math.degrees, self._values[name]))
+        return _degrees_of(self._values[name])
 
     def _extra_health(self) -> dict[str, float]:
         return {"commands_expired": self._expired, "heartbeats_missed": self._silences}
