@@ -115,8 +115,7 @@ def _log_surfaces(rec: rr.RecordingStream, body: ComparedSurfaces, path: str, le
         rec.log(f"{path}/{name}", rr.Points3D(points, radii=(0.08 - 0.01 * number) * spacing, colors=tint))
         net = points[sides_of(triangulate(points[:, :2]))]
         rec.log(f"{path}/{name}/net", rr.LineStrips3D(net, radii=0.02 * spacing, colors=tint))
-    share = 1.0 / max(len(body.parts) - 1, 1)
-    log_deep_legend(rec, legend, canvas, [(share * at, name, tint) for at, (name, _, tint) in enumerate(body.parts)])
+    log_deep_legend(rec, legend, canvas, [(0.5 * at, name, tint) for at, (name, _, tint) in enumerate(body.parts)])
     if canvas.heights:
         log_deep_legend(rec, f"{legend}/heights", canvas, [(0.5, canvas.heights.strip(", "), UNKNOWN)], row=1)
 
@@ -127,8 +126,8 @@ def _around(body: ColoredBody | ComparedSurfaces) -> Canvas:
         *sides, deep = high - low
         scale = np.array([1.0, 1.0, max(round_down(RELIEF * max(sides) / deep), 1.0) if deep > 0.0 else 1.0])
         middle, half = 0.5 * (low + high), 0.5 * (high - low) * scale
-        ends = {"low": tuple((-half).tolist()), "high": tuple(half.tolist())}
-        return Canvas(**ends, origin=tuple(middle.tolist()), scale=tuple(scale.tolist()))
+        low, high, origin, times = (tuple(one.tolist()) for one in (-half, half, middle, scale))
+        return Canvas(low, high, origin=origin, scale=times)
     ground = (0.0,) * (3 - len(low))
     return Canvas(low=(*map(float, low), *ground), high=(*map(float, high), *ground))
 
