@@ -218,11 +218,9 @@ def _wrench(states: Sequence[ArmState], chain: Chain, opening: Opening, rig: str
         ("zeros", f"{worth.zeros} reports of 0 N, which are left out"),
         ("resolves", f"a set force of {tool.resolved_n:.2f} N or more"),
     )
-    names, text = (
-        [str(number + 1) for number in range(PARTS)],
-        "Own force without contact, as the other parts predict it",
-    )
-    figure = off_figure(worth.left_n, names, "N", worth.off_n, each="part of the motion", caption=text)
+    names, each = [str(number + 1) for number in range(PARTS)], "part of the motion"
+    text = "Own force without contact, as the other parts predict it"
+    figure = off_figure(worth.left_n, names, "N", worth.off_n, each=each, caption=text)
     found = {**known, "resolved_n": tool.resolved_n, "raw_off_n": worth.raw_off_n, "zeros": worth.zeros}
     return RigCalibrationResult("wrench", values, rows, figure, found | {"least_singular": worth.least_singular})
 

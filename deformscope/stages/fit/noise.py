@@ -258,11 +258,9 @@ class ErrorModel:
         """Each smooth field of the hypotheses at rows (h,), and the places of its own among them."""
         every = self.hypotheses
         parts = np.stack([every.field[rows], every.length[rows], every.held[rows], every.shared[rows]])
-        kinds, kind = np.unique(np.array([1e3, 1.0, 1e5, 2e5]) @ parts, return_inverse=True)
-        for one in range(len(kinds)):
-            places = np.flatnonzero(kind == one)
-            field, length, held, shared = parts[:, places[0]]
-            yield (int(field), float(length), bool(held), bool(shared)), places
+        kinds, kind = np.unique(parts, axis=1, return_inverse=True)
+        for one, (field, length, held, shared) in enumerate(kinds.T):
+            yield (int(field), float(length), bool(held), bool(shared)), np.flatnonzero(kind.reshape(-1) == one)
 
     def _basis(self, key: Field) -> _Basis:
         which, length, held, shared = key
