@@ -1,4 +1,4 @@
-"""beta and theta of one deformed shape together, by derivatives of its error."""
+"""beta and theta of one deformed shape together, by slopes of its error."""
 
 from dataclasses import dataclass
 
@@ -13,6 +13,8 @@ LARGEST = 0.9999
 """Largest beta tried: at 1 only the linear fit is left, and most bodies have no unique static state."""
 STATE_TOLERANCE = 1e-5
 """Tolerance of the search's static states, as a share of the body's extent."""
+SLOPE_STEP = 1e-3
+"""Step of -log(1 - beta) and of theta for slopes of states: with states to 1e-9, exact to about 1e-6."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +45,7 @@ def fit_beta_theta(
 ) -> FitBoth:
     """The beta in [0, largest_beta] and theta in [0, 1] at which the average Euclidean error (eq. 3.18) is least.
 
-    Each step linearizes the static state in -log(1 - beta) and theta, by its derivatives, and minimises the error over
+    Each step linearizes the static state in -log(1 - beta) and theta, by its slopes, and minimises the error over
     both. The step limit grows where the prediction held and shrinks where it did not (the error has long curved
     valleys: less beta needs more theta). The search goes downhill from `start`.
 
@@ -57,8 +59,7 @@ def fit_beta_theta(
     reach, evaluations = np.array([1.0, 0.5]), 1
     settled = error <= smallest
     while np.isfinite(error) and evaluations < max_evaluations and not settled:
-        by = body.sensitivity(position, float(-np.expm1(-at[0])), float(at[1]), volume=volume)
-        slope = np.stack([by.beta[0] * np.exp(-at[0]), by.theta[0]], axis=-1)
+        slope = _slopes(body, held_position, at, highest, position, volume)
         while evaluations < max_evaluations:
             box = np.maximum(-reach, -at), np.minimum(reach, highest - at)
             step, promised = _least(position[seen] - observed[seen], slope[seen], error, box)
@@ -98,6 +99,15 @@ def _relaxed(
     if found.diverged[0]:
         return found.position[0], float("inf")
     return found.position[0], float(np.linalg.norm(found.position[0, seen] - observed[seen], axis=1).mean())
+
+
+def _slopes(
+    body: Msm, held_position: FloatArray, at: FloatArray, highest: FloatArray, position: FloatArray, volume: Volume
+) -> FloatArray:
+    """(K, d, 2) differences of the static state (K, d) at -log(1 - beta) and theta over steps within the bounds."""
+    ends = np.clip(at + SLOPE_STEP * np.concatenate([np.eye(2), -np.eye(2)]), 0.0, highest)
+    moved = body.relax(held_position, -np.expm1(-ends[:, 0]), ends[:, 1], volume=volume, start=position).position
+    return np.stack([(moved[i] - moved[i + 2]) / (ends[i, i] - ends[i + 2, i]) for i in range(2)], axis=-1)
 
 
 def _least(

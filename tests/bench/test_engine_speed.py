@@ -41,11 +41,3 @@ def test_relax(benchmark: Any, body: BenchBody, device: str) -> None:
 
 def test_sweep(benchmark: Any, body: BenchBody, device: str) -> None:
     assert benchmark(partial(engine(body, device).relax, body.held_position, np.arange(100) * 0.01)).converged.all()
-
-
-def test_gradient(benchmark: Any, body: BenchBody, device: str) -> None:
-    msm = engine(body, device)
-    position = msm.relax(body.held_position, BETA).position
-    cotangent = np.random.default_rng(0).standard_normal(position.shape)
-    slope = benchmark(partial(msm.gradient, position, BETA, 0.0, cotangent=cotangent))
-    assert np.isfinite(slope.beta_by_cluster).all()

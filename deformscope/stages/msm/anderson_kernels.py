@@ -39,8 +39,6 @@ def anderson_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
 
         tolerance: Doubles  # of the distance to the static state [spacing]; first entry
         floor: Doubles  # residual that is but rounding [spacing]; first entry
-        relative: Doubles  # reduction of a residual that ends a linear solve; first entry, 0: goals
-        target: Doubles  # at which the residual of a linear solve ends
         state: Ints
         groups: Ints
         count: Ints  # iterations of a group
@@ -118,9 +116,9 @@ def anderson_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
 
         The remaining distance is estimated from the path over the last quarter of all iterations, because accelerated
         steps are as long as the error that they remove. It is also estimated from the residual over the smallest
-        restoring slope so far. A linear solve ends on its residual as a share of the right-hand side. An estimate at
-        the end of a stretch may come after the residual has reached rounding, where changes do not show the slope. When
-        the residual has grown far above its best, the memory is dropped and a plain step follows."""
+        restoring slope so far. An estimate at the end of a stretch may come after the residual has reached rounding,
+        where changes do not show the slope. When the residual has grown far above its best, the memory is dropped and a
+        plain step follows."""
         group, thread = wp.tid()
         if anderson.groups[group] == 0:
             return
@@ -138,9 +136,7 @@ def anderson_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
                 norm = wp.sqrt(sum_of(span, anderson, wp.static(2 * MEMORY), group, member) / span.metric_total)
                 anderson.norm[i] = norm
                 anderson.total[i] = anderson.total[i] + 1
-                if k == 0:  # a linear solve starts at 0, where its residual is the right-hand side
-                    anderson.target[i] = anderson.relative[0] * norm
-                else:
+                if k > 0:
                     step = sum_of(span, anderson, wp.static(2 * MEMORY + 1), group, member)
                     newest_row = 2 * ((k - 1) % wp.static(MEMORY))
                     change = sum_of(span, anderson, newest_row, group, member)
@@ -152,8 +148,6 @@ def anderson_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
                 left = wp.float64(10.0) * norm / wp.max(least, wp.float64(1e-12))
                 if not wp.isfinite(norm) or norm > far:
                     anderson.state[i] = wp.static(DIVERGED)
-                elif norm <= anderson.target[i]:
-                    anderson.state[i] = wp.static(CONVERGED)
                 elif norm <= anderson.floor[0]:
                     anderson.error[i] = left
                     anderson.state[i] = wp.static(STALLED)
@@ -239,14 +233,4 @@ def anderson_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
             moved = add(moved, -one, scale(load(anderson.dr, row, span.stride), w))
         store(anderson.u, at, span.stride, add(load(anderson.u, at, span.stride), one, choose(runs, moved)), count)
 
-    @kernel
-    def add_right(span: Span, anderson: AndersonState, right: numbers):
-        """residual += right."""
-        group, block = wp.tid()
-        if anderson.groups[group] == 0:
-            return
-        at, count = place_of(span, group, block)
-        total = add(load(anderson.residual, at, span.stride), one, load(right, at, span.stride))
-        store(anderson.residual, at, span.stride, total, count)
-
-    return members(AndersonState, remember, history_products, accelerate, advance, add_right)
+    return members(AndersonState, remember, history_products, accelerate, advance)

@@ -153,11 +153,8 @@ class Operator(ABC):
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs or [], device=self.layout.device)
 
     @abstractmethod
-    def residual(
-        self, u: Field, out: Field, parameters: Parameters, running: Field, kept: object = None, what: int = 0
-    ) -> None:
-        """goal - u of every free particle into `out`; with `what` BY_BETA or BY_THETA the derivative of the goals.
-        kept: place of the values for `change` (None: nowhere)"""
+    def residual(self, u: Field, out: Field, parameters: Parameters, running: Field, kept: object = None) -> None:
+        """goal - u of every free particle into `out`. kept: place of the values for `change` (None: nowhere)"""
 
     @abstractmethod
     def change(self, direction: Field, out: Field, parameters: Parameters, running: Field, kept: object) -> None:

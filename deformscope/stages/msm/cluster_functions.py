@@ -15,9 +15,6 @@ from deformscope.stages.msm.lanes import Ints, VectorC, lanes_for, product_for, 
 from deformscope.stages.msm.members import members
 from deformscope.stages.msm.reference import NO_ROTATION, Volume
 
-GOAL, BY_BETA, BY_THETA = 0, 1, 2
-"""Result of a fit: the goal map, or its derivative by beta or by theta."""
-
 NONE, SCALE, PROJECT = 0, 1, 2
 """Volume conservation: none (theta = 0), Thesis eq. 3.17, or the projection onto the rest volume."""
 
@@ -44,8 +41,7 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
     functions = functions_for(dim, scalar)
     frames = rows_for(2 * square_count + dim + 1, width, scalar)
     square, vec, turn_one = functions.square, functions.vec, functions.turn
-    denominator_of, denominator_change = functions.volume_denominator, functions.denominator_change
-    project, project_change = functions.project, functions.project_change
+    denominator_of, project, project_change = functions.volume_denominator, functions.project, functions.project_change
     transform = wp.types.matrix(shape=(dim, terms), dtype=scalar)
     zero, one = scalar(0.0), scalar(1.0)
     number = f"wp::{scalar.__name__}"
@@ -73,7 +69,7 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
     @wp.struct
     class Kept:
         """Stored values of a fit for its derivative: R - I (transposed), the compliance of the rotation, and of a
-        conserved volume the frame: u, v, stretch and mu of `functions.project`, or for eq. 3.17 A - I (transposed)."""
+        volume conserved by projection the frame: u, v, stretch and mu of `functions.project`."""
 
         turned: numbers
         compliance: numbers
@@ -305,9 +301,8 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
         affine_t: transforms.rows,
         theta: lane,
         volume: int,
-        what: int,
     ):
-        """A~_theta - [I, 0] of A~ - [I, 0] (transposed): eq. 3.17, or the projection; or its derivative by theta."""
+        """A~_theta - [I, 0] of A~ - [I, 0] (transposed): eq. 3.17, or the projection."""
         frame = frames.rows()
         for l in range(width):
             own_cluster = cluster + l * step
@@ -329,22 +324,10 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
                 lifted = change * rest.lift[own_cluster]
                 for t in range(wp.static(terms)):
                     for i in range(wp.static(dim)):
-                        if what == wp.static(BY_THETA):
-                            affine_t[t * wp.static(dim) + i, l] = lifted[i, t]
-                        else:
-                            affine_t[t * wp.static(dim) + i, l] += th * lifted[i, t]
+                        affine_t[t * wp.static(dim) + i, l] += th * lifted[i, t]
             else:
-                for t in range(wp.static(square_count)):
-                    frame[t, l] = affine_t[t, l]
                 denominator = denominator_of(a, th, rest.span_axes[own_cluster], k)
-                change = square()
-                if what == wp.static(BY_THETA):
-                    slope = denominator_change(a, square(), th, one, rest.span_axes[own_cluster], k)
-                    change = a * (-slope / (denominator * denominator))
-                    for t in range(wp.static(terms * dim)):
-                        affine_t[t, l] = zero
-                else:
-                    change = a * (one / denominator - one)
+                change = a * (one / denominator - one)
                 for i in range(wp.static(dim)):
                     for j in range(wp.static(dim)):
                         affine_t[j * wp.static(dim) + i, l] += change[i, j]
@@ -354,21 +337,13 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
 
     @wp.func(inline=False)
     def conserve_change(
-        rest: FitRest,
-        cluster: int,
-        step: int,
-        kept: Kept,
-        position: int,
-        affine_t: transforms.rows,
-        theta: lane,
-        volume: int,
+        rest: FitRest, cluster: int, step: int, kept: Kept, position: int, affine_t: transforms.rows, theta: lane
     ):
-        """Derivative of `conserve` for the change `affine_t`, with the frame that it left."""
+        """Derivative of `conserve` by projection for the change `affine_t`, with the frame that it left."""
         frame = frames.load(kept.frame, position, kept.stride)
         for l in range(width):
             own_cluster = cluster + l * step
             k = rest.span_count[own_cluster]
-            th = theta[l]
             da = square()
             u = square()
             v = square()
@@ -379,23 +354,11 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
                     u[i, j] = frame[i * wp.static(dim) + j, l]
                     v[i, j] = frame[wp.static(square_count) + i * wp.static(dim) + j, l]
                 stretch[i] = frame[wp.static(2 * square_count) + i, l]
-            if volume == wp.static(PROJECT):
-                mu = frame[wp.static(2 * square_count + dim), l]
-                lifted = project_change(u, v, stretch, mu, k, da * rest.root[own_cluster]) * rest.lift[own_cluster]
-                for t in range(wp.static(terms)):
-                    for i in range(wp.static(dim)):
-                        affine_t[t * wp.static(dim) + i, l] += th * lifted[i, t]
-            else:
-                axes = rest.span_axes[own_cluster]
-                a = wp.transpose(u)
+            mu = frame[wp.static(2 * square_count + dim), l]
+            lifted = project_change(u, v, stretch, mu, k, da * rest.root[own_cluster]) * rest.lift[own_cluster]
+            for t in range(wp.static(terms)):
                 for i in range(wp.static(dim)):
-                    a[i, i] += one
-                denominator = denominator_of(a, th, axes, k)
-                by = denominator_change(a, da, th, zero, axes, k)
-                change = da * (one / denominator - one) - a * (by / (denominator * denominator))
-                for i in range(wp.static(dim)):
-                    for j in range(wp.static(dim)):
-                        affine_t[j * wp.static(dim) + i, l] += change[i, j]
+                    affine_t[t * wp.static(dim) + i, l] += theta[l] * lifted[i, t]
         return affine_t
 
     @wp.func
@@ -435,17 +398,12 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
         beta: lane,
         theta: lane,
         volume: int,
-        what: int,
     ):
         """The blend of a cluster's rotation and its linear (quadratic) fit (Thesis eq. 3.10 to 3.14, 3.17), less rest.
         affine_t: A~ - [I, 0] (eq. 3.7, 3.14); target: R - I, or that of the rest vectors that it has"""
         affine_t = with_null(rest, cluster, step, affine_t, target)
         if volume != wp.static(NONE):
-            affine_t = conserve(rest, cluster, step, kept, position, count, affine_t, theta, volume, what)
-        if what == wp.static(BY_BETA):
-            return mixed(affine_t, lane(one), target, lane(-one))
-        if what == wp.static(BY_THETA):
-            return mixed(affine_t, beta, target, lane())
+            affine_t = conserve(rest, cluster, step, kept, position, count, affine_t, theta, volume)
         return mixed(affine_t, beta, target, lane(one) - beta)
 
     @wp.func
@@ -465,7 +423,7 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
         it."""
         affine_t = with_null(rest, cluster, step, affine_t, change)
         if volume != wp.static(NONE):
-            affine_t = conserve_change(rest, cluster, step, kept, position, affine_t, theta, volume)
+            affine_t = conserve_change(rest, cluster, step, kept, position, affine_t, theta)
         return mixed(affine_t, beta, change, lane(one) - beta)
 
     return members(FitRest, Kept, turned, turned_change, with_null, blend, blend_change)

@@ -12,7 +12,7 @@ from deformscope.arrays import FloatArray
 from deformscope.stages.msm import general_kernels as k
 from deformscope.stages.msm import reference
 from deformscope.stages.msm.body import Body, BodyRest, Operator, Parameters, RestArrays, rest_struct
-from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
+from deformscope.stages.msm.cluster_functions import cluster_functions_for
 from deformscope.stages.msm.clusters import Clusters
 from deformscope.stages.msm.layout import Field, Layout, upload, widths
 from deformscope.stages.msm.materials import axis_weights
@@ -149,23 +149,20 @@ class GeneralOperator(Operator):
         self.law: Any = None
         self._star = layout.field(self.dim)
 
-    def residual(
-        self, u: Field, out: Field, parameters: Parameters, running: Field, kept: object = None, what: int = GOAL
-    ) -> None:
+    def residual(self, u: Field, out: Field, parameters: Parameters, running: Field, kept: object = None) -> None:
         kept = self.unkept() if kept is None else kept
-        self._fit(self.arrays.kernels.fit_clusters, u, parameters, running, kept, what)
-        star = u if what == GOAL else self._zero
-        self._finish(star, star, self.still, running, out, self._nothing)
+        self._fit(self.arrays.kernels.fit_clusters, u, parameters, running, kept)
+        self._finish(u, u, self.still, running, out, self._nothing)
 
     def change(self, direction: Field, out: Field, parameters: Parameters, running: Field, kept: object) -> None:
-        self._fit(self.arrays.kernels.fit_changes, direction, parameters, running, kept, GOAL)
+        self._fit(self.arrays.kernels.fit_changes, direction, parameters, running, kept)
         self._finish(direction, direction, self.still, running, out, self._nothing)
 
     def step(self, state: Any, motion: object, parameters: Parameters) -> None:
         u, before, star = state.u, state.before, self._star
         predicted = [self.lists, u, before, motion, self.arrays.free]
         self.launch(self.arrays.kernels.predict, self.body.particle_count, predicted, [star])
-        self._fit(self.arrays.kernels.fit_clusters, star, parameters, state.running, self.unkept(), GOAL)
+        self._fit(self.arrays.kernels.fit_clusters, star, parameters, state.running, self.unkept())
         self._finish(u, star, motion, state.running, before, state.ran_away)
 
     def cluster_values(self, values: FloatArray) -> Field:
@@ -220,16 +217,10 @@ class GeneralOperator(Operator):
         body = host[:, : self.cluster_stride - layout.width].reshape(rows, layout.groups, -1, layout.abreast)
         return body.transpose(1, 3, 2, 0).reshape(-1, self.body.cluster_count, rows)[: layout.candidates]
 
-    @functools.cached_property
-    def _zero(self) -> Field:
-        return self.layout.field(self.dim)
-
-    def _fit(
-        self, kernel: wp.Kernel, u: Field, parameters: Parameters, running: Field, kept: object, what: int
-    ) -> None:
+    def _fit(self, kernel: wp.Kernel, u: Field, parameters: Parameters, running: Field, kept: object) -> None:
         given = self.arrays.kernels.Given()
         given.beta, given.theta, given.beta_stride = parameters.beta, parameters.theta, parameters.beta_stride
-        given.volume, given.what, given.strain = parameters.volume, what, self.strain
+        given.volume, given.strain = parameters.volume, self.strain
         given.plastic, given.axes = int(self.body.plastic), int(self.body.axes is not None)
         inputs = [self.lists, self.arrays.rest, kept, given, u, running]
         self.launch(kernel, self.body.cluster_count, inputs, [self.maps])

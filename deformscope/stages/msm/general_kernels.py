@@ -8,7 +8,7 @@ from typing import Any
 
 import warp as wp
 
-from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
+from deformscope.stages.msm.cluster_functions import cluster_functions_for
 from deformscope.stages.msm.functions import functions_for
 from deformscope.stages.msm.lanes import Ints, Sized, lanes_for, rows_for
 from deformscope.stages.msm.lattice_kernels import FAR, motion_for
@@ -58,13 +58,12 @@ def gathering_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Si
         """Parameters of the candidates, and of clusters beyond a fit. plastic, axes: 0 or 1.
 
         strain: S^p - I by rows, laid out as fields of clusters are; with axes, `beta` holds W and C alike
-        what: GOAL, BY_BETA or BY_THETA; beta_stride: see `body.Parameters`"""
+        beta_stride: see `body.Parameters`"""
 
         beta: numbers
         beta_stride: int
         theta: numbers
         volume: int
-        what: int
         plastic: int
         axes: int
         strain: numbers
@@ -249,15 +248,13 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int, material:
                 if given.axes != 0:
                     along = squares.load(given.beta, at + wp.static(dim * dim) * stride, stride)
                     return of.blended(cluster.with_null(rest, c, 0, affine_t, target), target, along)
-            volume, what = given.volume, given.what
+            volume = given.volume
             theta = parameter(lists, given.theta, 0, group, c)
             beta = parameter(lists, given.beta, given.beta_stride, group, c)
             if wp.static(changing):
                 return cluster.blend_change(rest, c, 0, kept, at, affine_t, target, beta, theta, volume)
             else:  # noqa: RET505 (a static `if` compiles one of the two)
-                return cluster.blend(
-                    rest, c, 0, kept, at, wp.static(width), affine_t, target, beta, theta, volume, what
-                )
+                return cluster.blend(rest, c, 0, kept, at, wp.static(width), affine_t, target, beta, theta, volume)
 
         @kernel(name=name)
         def run(
@@ -274,8 +271,6 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int, material:
                 return
             centre, affine_t, change_t = gathered(lists, group, c, u_in)
             blend_t = blended(lists, rest, kept, given, group, c, affine_t, change_t)
-            if given.what != wp.static(GOAL):
-                centre = vecs.rows()
             at = (group * lists.clusters + c) * lists.abreast
             stride = lists.cluster_stride
             store(maps_out, at, stride, centre, wp.static(width))

@@ -5,7 +5,7 @@ Launches are recorded once and replayed: on a CPU too, where a launch from Pytho
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -174,12 +174,6 @@ class Iteration:
             launches(*given)
         self._graphs[key] = capture.graph
 
-    def derive_goals(self, by: int, volume: int, out: Field) -> None:
-        """Derivative of every free particle's goal by beta or theta at `u` into `out`; volume: how volume is conserved;
-        derivatives by theta are given also at theta = 0."""
-        parameters = replace(self.parameters, volume=volume)
-        self.operator.residual(self.u, out, parameters, self._every_group, what=by)
-
     def launch(self, kernel: wp.Kernel, over: tuple[int, ...] | int, *inputs: Any) -> None:
         """A kernel of both methods, whose arguments begin with the layout and the stored values of candidates."""
         inputs = (self.span, self.state, *inputs)
@@ -284,28 +278,8 @@ class Newton(Iteration):
             self.multigrid.linearise(rest, everything)
         self.operator.change(self.u, self.residual, self.parameters, everything, self._kept)
 
-    def solve(self, relative: float) -> bool:
-        """`step` of (I - J) step = `residual` where goals were last evaluated; whether it came to `relative` of it."""
-        state = self.state
-        self._watch()
-        if self.multigrid is not None:
-            self.multigrid.reset()
-        self._begin(0.0, relative, outer=0)
-        self.replay(self._launch_aim)
-        self._descend(state.most)
-        size = self.layout.candidates
-        return bool((state.square.numpy()[:size] <= np.maximum(state.target.numpy()[:size], 1e-300)).all())
-
-    def derive(self, by: int, volume: int | None = None) -> None:
-        """`derive_goals` into `residual`; volume: default that of the method."""
-        self.replay(self.derive_goals, by, self.volume if volume is None else volume, self.residual)
-
     def _launch_aim(self) -> None:
-        kk, groups, threads, right = self.kernels, self.layout.groups, self.threads, self.residual
-        if threads:
-            inputs, device = [self.span, self.state, threads], self.layout.device
-            wp.launch(self.operator.resident.aim, groups * threads, inputs, device=device, block_dim=threads)
-            return
+        kk, right = self.kernels, self.residual
         self.launch_sums(kk.inner_products, self.state.inner_groups, right, right, right, right)
         self.launch_groups(kk.aim)
         self.launch_blocks(kk.begin)
@@ -409,8 +383,6 @@ class Anderson(Iteration):
         state.gram = wp.zeros(lanes, dtype=history, device=layout.device)
         state.groups, state.count = self.all_groups(), self.all_groups()
         self.state = state
-        self._kept = self.operator.kept(volume)
-        self.linear_right = layout.field(d)
 
     def relax(
         self,
@@ -423,23 +395,6 @@ class Anderson(Iteration):
         """The static states from displacements (B or 1, K, d); tolerance and result in particle spacings."""
         self._watch(progress, until)
         self.put(start)
-        set_first(self.state.relative, 0.0)
-        return self._iterate(self._launch_goals, tolerance, max_iterations)
-
-    def solve(self, relative: float, max_iterations: int) -> bool:
-        """y of y = J y + right (`linear_right`) where `evaluate` was last called, into `u`; whether the residual
-        reached `relative` of the right-hand side."""
-        self._watch()
-        set_first(self.state.floor, 0.0)
-        set_first(self.state.relative, relative)
-        self.u.zero_()
-        return bool((self._iterate(self._launch_linear, 0.0, max_iterations).state == k.CONVERGED).all())
-
-    def evaluate(self) -> None:
-        """The residual at `u`, and with it the values for derivatives there."""
-        self.operator.residual(self.u, self.residual, self.parameters, self.all_groups(), self._kept)
-
-    def _iterate(self, launches: Callable[[], None], tolerance: float, max_iterations: int) -> Ended:
         state = self.state
         set_first(state.tolerance, tolerance)
         for name in ("known", "total", "path", "gram", "count", "du", "dr"):
@@ -455,7 +410,7 @@ class Anderson(Iteration):
         size = self.layout.candidates
         while done < max_iterations and state.groups.numpy().any():
             for _ in range(min(REPLAYS[self.kind], max_iterations - done)):
-                self.replay(launches)
+                self.replay(self._launch_goals)
                 done += 1
             if self._over():
                 break
@@ -463,14 +418,6 @@ class Anderson(Iteration):
 
     def _launch_goals(self) -> None:
         self.operator.residual(self.u, self.residual, self.parameters, self.state.groups)
-        self._launch_rest()
-
-    def _launch_linear(self) -> None:
-        self.operator.change(self.u, self.residual, self.parameters, self.state.groups, self._kept)
-        self.launch_blocks(self.kernels.add_right, self.linear_right)
-        self._launch_rest()
-
-    def _launch_rest(self) -> None:
         kk = self.kernels
         self.launch_blocks(kk.remember)
         self.launch_sums(kk.history_products, over=(MEMORY + 1,))

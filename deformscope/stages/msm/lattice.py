@@ -10,7 +10,7 @@ import warp as wp
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.stages.msm import lattice_kernels as k
 from deformscope.stages.msm.body import Body, BodyRest, Operator, Parameters, RestArrays, rest_struct, upload_rows
-from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
+from deformscope.stages.msm.cluster_functions import cluster_functions_for
 from deformscope.stages.msm.clusters import FLAT_MOMENT_RATIO, LatticeClusters
 from deformscope.stages.msm.layout import Field, Layout, upload, widths
 from deformscope.stages.msm.resident_kernels import THREADS, resident_kernels_for
@@ -262,10 +262,8 @@ class LatticeOperator(Operator):
                 grid.run_back = -(-n[0] // max(1, self.threads // grid.plane))
             grid.items_back = -(-n[0] // grid.run_back) * grid.plane
 
-    def residual(
-        self, u: Field, out: Field, parameters: Parameters, running: Field, kept: object = None, what: int = GOAL
-    ) -> None:
-        self._launch_passes(self._passes(parameters, kept, what), running, u, u, u, out, changing=False)
+    def residual(self, u: Field, out: Field, parameters: Parameters, running: Field, kept: object = None) -> None:
+        self._launch_passes(self._passes(parameters, kept), running, u, u, u, out, changing=False)
 
     def change(self, direction: Field, out: Field, parameters: Parameters, running: Field, kept: object) -> None:
         p = direction
@@ -331,20 +329,20 @@ class LatticeOperator(Operator):
         """Parameters of the steps, reused from call to call: making them takes as long as a short call's steps."""
         return self._passes(None)
 
-    def _passes(self, parameters: Parameters | None, kept: object = None, what: int = GOAL) -> Any:
+    def _passes(self, parameters: Parameters | None, kept: object = None) -> Any:
         """Parameters of the passes, without motion. kept: place of the values for `change` (None: nowhere)"""
         passes = self.arrays.functions.Passes()
         passes.grid, passes.site, passes.rest = self.grid, self.arrays.site, self.arrays.rest
         passes.kept, passes.fields, passes.motion = kept or self.unkept(), self.fields, self.still
         passes.threads, passes.ran_away = self.threads, self._nothing
         if parameters is not None:
-            self._set(passes, parameters, what)
+            self._set(passes, parameters)
         return passes
 
-    def _set(self, passes: Any, parameters: Parameters, what: int = GOAL) -> None:
+    def _set(self, passes: Any, parameters: Parameters) -> None:
         fields = passes.fields
         fields.beta, fields.theta = parameters.beta, parameters.theta
-        fields.beta_stride, fields.volume, fields.what = parameters.beta_stride, parameters.volume, what
+        fields.beta_stride, fields.volume = parameters.beta_stride, parameters.volume
 
     def _launch_passes(
         self, passes: object, running: Field, u: Field, before: Field, star: Field, out: Field, *, changing: bool

@@ -16,7 +16,7 @@ from typing import Any
 
 import warp as wp
 
-from deformscope.stages.msm.cluster_functions import GOAL, cluster_functions_for
+from deformscope.stages.msm.cluster_functions import cluster_functions_for
 from deformscope.stages.msm.lanes import Ints, VectorC, lanes_for, product_for, rows_for
 from deformscope.stages.msm.members import kernel_in, members
 
@@ -111,7 +111,7 @@ def lattice_types_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
 
         mass: one value if all are alike; pull: 1 / number of clusters, 0 for a held particle and for a missing one
         sides: 0 for a particle that is held along `held_axis` alone, -1 if none is
-        what: GOAL, BY_BETA or BY_THETA; beta_stride: see `body.Parameters`"""
+        beta_stride: see `body.Parameters`"""
 
         mass: numbers
         free: numbers
@@ -127,7 +127,6 @@ def lattice_types_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
         theta: numbers
         beta_stride: int
         volume: int
-        what: int
 
     @wp.struct
     class Smoothing:
@@ -429,7 +428,7 @@ def fit_for(helpers: PassHelpers, functions: SimpleNamespace, changing: bool, na
     """The pass along the slow axis, which ends the window sums and computes each cluster's goal map from its moments,
     or with `changing` its derivative along them; functions: those that `map_functions_for` returns"""
     dim, scalar, width, vecs, maps = helpers.dim, helpers.scalar, helpers.width, helpers.vecs, helpers.maps
-    Passes, lane, own, one = helpers.types.Passes, helpers.lanes.lane, helpers.lanes.own, scalar(1.0)
+    Passes, own, one = helpers.types.Passes, helpers.lanes.own, scalar(1.0)
     middle, cells_of, run_of, particle_own = helpers.middle, helpers.cells_of, helpers.run_of, helpers.particle_own
     numbers = helpers.numbers
     cluster = cluster_functions_for(dim, dim, scalar, width)
@@ -460,11 +459,9 @@ def fit_for(helpers: PassHelpers, functions: SimpleNamespace, changing: bool, na
         else:
             a_qq = moments_own(rest.a_qq, place, rest.stride, step)
             t = cluster.turned(kept, at, count, a_qq, change_t)
-            blend_t = cluster.blend(rest, place, step, kept, at, count, affine_t, t, beta, theta, volume, fields.what)
+            blend_t = cluster.blend(rest, place, step, kept, at, count, affine_t, t, beta, theta, volume)
         slopes = product(maps.own(site.edge_t, 0, 1, 0), blend_t)
         share = own(site.share, place, step)
-        if fields.what != wp.static(GOAL):
-            share = lane()
         vecs.store(fields.maps, at, grid.stride, functions.shift_of(total, share, mean, slopes, valid), count)
         maps.store(fields.maps, at + wp.static(dim) * grid.stride, grid.stride, maps.choose(valid, slopes), count)
 
@@ -664,8 +661,7 @@ def finish_for(helpers: PassHelpers) -> Any:
         grid = passes.grid
         fields = passes.fields
         goal = vecs.scale(total, particle_own(fields.pull, cell, grid.abreast))
-        if fields.what == wp.static(GOAL):
-            goal = vecs.add(goal, -one, vecs.scale(u, particle_own(fields.free, cell, grid.abreast)))
+        goal = vecs.add(goal, -one, vecs.scale(u, particle_own(fields.free, cell, grid.abreast)))
         for i in range(wp.static(dim)):
             if i == fields.held_axis:
                 goal = vecs.with_row(goal, i, times(vecs.row(goal, i), particle_own(fields.sides, cell, grid.abreast)))

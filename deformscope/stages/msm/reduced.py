@@ -23,7 +23,7 @@ Flags are checked: `converged` takes a Newton step below the tolerance, goals th
 evaluated equations, and for eq. 3.17, which has no energy, a state that its goals pull back to."""
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -187,7 +187,7 @@ class OneCluster:
             work.start[:] = fit.reshape(len(begin), -1)
             if not len(self.held):
                 work.held[:, -self.dim :] = mean  # nothing else says where the body is
-        result = work.run("relax")
+        result = work.run()
         state = result[:, k.STATE]
         split = k.TRANSFORM + self.dim * self.terms
         return Equilibrium(
@@ -202,35 +202,10 @@ class OneCluster:
 
     def positions(self, equilibrium: Equilibrium, held: HeldMoments) -> FloatArray:
         """Positions (B, K, d) [m] of all particles; held ones have their prescribed positions."""
-        out = self._expanded(equilibrium.transform, equilibrium.translation)
+        out: FloatArray = self.basis @ equilibrium.transform.transpose(0, 2, 1)
+        out += equilibrium.translation[:, None]
         out[:, self.held] = held.position
         return out
-
-    def changes(
-        self,
-        equilibrium: Equilibrium,
-        held: HeldMoments,
-        beta: FloatArray | float,
-        theta: FloatArray | float = 0.0,
-        *,
-        volume: Volume = "scale",
-    ) -> tuple[FloatArray, FloatArray]:
-        """How every particle of static states moves with beta and with theta, two of (B, K, d) [m]; held ones stay.
-        Derivatives of the state by implicit differentiation, with Newton's matrix. beta, theta: (B,) or one"""
-        work = self._filled(len(equilibrium.transform), held, beta, theta, 0.0, 0, volume)
-        work.start[:] = equilibrium.transform.reshape(len(work.start), -1) / self.radius
-        result = work.run("differentiate")
-        split = k.TRANSFORM + self.dim * self.terms
-        transform = result[:, :, k.TRANSFORM : split].reshape(len(result), 2, self.dim, self.terms)
-        by_beta, by_theta = (self._expanded(transform[:, n], result[:, n, split:]) for n in range(2))
-        by_beta[:, self.held] = by_theta[:, self.held] = 0.0
-        return by_beta, by_theta
-
-    def _expanded(self, transform: FloatArray, translation: FloatArray) -> FloatArray:
-        """(B, K, d) transforms (B, d, terms) and translations (B, d) applied to the basis at rest."""
-        out = self.basis @ transform.transpose(0, 2, 1)
-        out += translation[:, None]
-        return np.asarray(out)
 
     def _filled(
         self,
@@ -258,27 +233,21 @@ class _Work:
     """Rows in and results out for `size` candidates, and the launches on them, recorded once."""
 
     def __init__(self, body: OneCluster, rest: object, size: int) -> None:
-        self.body, self.rest, self.size = body, rest, size
+        self.body = body
         self.row_in = self._zeros(size, body._k.row_width)
         self.row: FloatArray = self.row_in.numpy()  # on the CPU the array itself
         split = body._k.row_width - body.dim * body.terms
         self.held, self.start = self.row[:, k.HELD : split], self.row[:, split:]
-        self._launches: dict[str, Any] = {}
+        self.out = self._zeros(size, body._k.result_width)
+        inputs = [rest, self.row_in]  # recorded, a launch costs a fifth
+        self.launch = wp.launch(body._k.relax, size, inputs, [self.out], device=body.device, record_cmd=True)
 
-    def run(self, name: Literal["relax", "differentiate"]) -> FloatArray:
-        """Results of the rows, laid out as by `reduced_kernels`: (B, result_width) static states, or (B, 2,
-        result_width) their derivatives by beta and theta."""
-        body = self.body
-        if name not in self._launches:  # recorded, it costs a fifth
-            out = self._zeros(self.size, *((2,) if name == "differentiate" else ()), body._k.result_width)
-            kernel, inputs = getattr(body._k, name), [self.rest, self.row_in]
-            launch = wp.launch(kernel, self.size, inputs, [out], device=body.device, record_cmd=True)
-            self._launches[name] = launch, out
-        launch, out = self._launches[name]
-        if body.device != "cpu":
+    def run(self) -> FloatArray:
+        """(B, result_width) static states of the rows, laid out as by `reduced_kernels`."""
+        if self.body.device != "cpu":
             self.row_in.assign(self.row)
-        launch.launch()
-        return np.array(out.numpy())
+        self.launch.launch()
+        return np.array(self.out.numpy())
 
     def _zeros(self, *shape: int) -> Any:
         return wp.zeros(shape, dtype=wp.float64, device=self.body.device)

@@ -92,7 +92,6 @@ def reduced_functions_for(dim: int, terms: int) -> SimpleNamespace:
         `volume_frame`."""
 
         gain: square
-        toward: square
         left: square
         right: square
         stretch: vec
@@ -168,7 +167,6 @@ def reduced_functions_for(dim: int, terms: int) -> SimpleNamespace:
         if body.volume == wp.static(PROJECT):
             toward, left, right, stretch, mu = project(a * body.root, body.span_count)
             frame.gain = toward * theta
-            frame.toward = toward
             frame.left = left
             frame.right = right
             frame.stretch = stretch
@@ -180,35 +178,28 @@ def reduced_functions_for(dim: int, terms: int) -> SimpleNamespace:
         return frame
 
     @wp.func
-    def volume_change(body: ReducedBody, a: square, theta: scalar, frame: Frame, change: square, theta_change: scalar):
-        """Derivative of `volume_frame`'s gain for dA = change, dtheta = theta_change."""
+    def volume_change(body: ReducedBody, a: square, theta: scalar, frame: Frame, change: square):
+        """Derivative of `volume_frame`'s gain for dA = change."""
         if body.volume == wp.static(PROJECT):
-            d_toward = project_change(
-                frame.left, frame.right, frame.stretch, frame.number, body.span_count, change * body.root
-            )
-            return d_toward * theta + frame.toward * theta_change
+            moved = change * body.root
+            return project_change(frame.left, frame.right, frame.stretch, frame.number, body.span_count, moved) * theta
         den = frame.number
-        d_den = denominator_change(a, change, theta, theta_change, body.span_axes, body.span_count)
+        d_den = denominator_change(a, change, theta, zero, body.span_axes, body.span_count)
         return change * ((one - den) / den) - a * (d_den / (den * den))
 
     @wp.func
-    def sums(body: ReducedBody, row: Doubles, beta: scalar, slope: bool):
-        """The sums at beta, or their derivatives by beta."""
+    def sums(body: ReducedBody, row: Doubles, beta: scalar):
+        """The sums at beta."""
         m = Sums()
-        if not slope:
-            m.u = identity()
-            for i in range(wp.static(dim)):
-                for j in range(wp.static(dim)):
-                    m.w[i, j] = body.free_q[i][j]
-                    m.k[i, j] = row[wp.static(held_q) + i * wp.static(dim) + j]
-            m.v = body.lift_free
+        m.u = identity()
+        for i in range(wp.static(dim)):
+            for j in range(wp.static(dim)):
+                m.w[i, j] = body.free_q[i][j]
+                m.k[i, j] = row[wp.static(held_q) + i * wp.static(dim) + j]
+        m.v = body.lift_free
         for j in range(wp.static(terms)):
-            g = gain(body, beta, j)
-            first = g
-            second = beta * g
-            if slope:
-                first = (one - body.share[j]) * g * g
-                second = g * g
+            first = gain(body, beta, j)
+            second = beta * first
             a = head(body.free_mode[j])
             above = body.lifted_mode[j]
             b = head(body.mode[j])
@@ -241,23 +232,16 @@ def reduced_functions_for(dim: int, terms: int) -> SimpleNamespace:
         return out
 
     @wp.func
-    def assemble(
-        body: ReducedBody, row: Doubles, beta: scalar, e: square, r: square, direct: scalar, held: scalar, slope: bool
-    ):
-        """T = e L + R J + sum_j beta g_j (e L (G - C) b_j + y_j - R J C b_j) b_j^T. direct: weight of the first part;
-        held: whether y_j is held; slope: beta g_j is replaced by its derivative"""
+    def assemble(body: ReducedBody, row: Doubles, beta: scalar, e: square, r: square):
+        """T = e L + R J + sum_j beta g_j (e L (G - C) b_j + y_j - R J C b_j) b_j^T."""
         out = transform()
         for i in range(wp.static(dim)):
             for j in range(wp.static(dim)):
-                out[i, j] = r[i, j] * direct
-        out += lifted(body, e * direct)
+                out[i, j] = r[i, j]
+        out += lifted(body, e)
         for j in range(wp.static(terms)):
-            g = gain(body, beta, j)
-            weight = beta * g
-            if slope:
-                weight = g * g
-            p = e * body.lifted_mode[j] + held_moment(row, j) * held - r * body.held_mode[j]
-            out += wp.outer(p * weight, body.mode[j])
+            p = e * body.lifted_mode[j] + held_moment(row, j) - r * body.held_mode[j]
+            out += wp.outer(p * (beta * gain(body, beta, j)), body.mode[j])
         return out
 
     @wp.func
@@ -374,7 +358,7 @@ def reduced_functions_for(dim: int, terms: int) -> SimpleNamespace:
             x = unknowns()
             x[column] = one
             da, dw = unpack(x)
-            de = volume_change(body, a, theta, frame, da, zero) * beta
+            de = volume_change(body, a, theta, frame, da) * beta
             s = spin(dw)
             change = pack(r * s * modes.u + de * modes.n - da, axial(wp.transpose(r) * de * modes.v - s * pull))
             for i in range(wp.static(size)):
@@ -459,8 +443,7 @@ def reduced_kernels_for(dim: int, terms: int) -> SimpleNamespace:
     name, scalar = f"msm_reduced_{dim}d_{terms}", wp.float64
     # flags as those of the lanes: compiled with others, warp's own headers would be taken through once more
     options = {"enable_backward": False, "max_unroll": 1, "cpu_compiler_flags": CPU_FLAGS}
-    # two modules: few need derivatives, and a GPU takes seconds to compile either
-    relaxing, differentiating = (kernel_in(each, scalar, options) for each in (name, f"{name}_slopes"))
+    relaxing = kernel_in(name, scalar, options)
     of = reduced_functions_for(dim, terms)
     ReducedBody, Frame, transform, square = of.ReducedBody, of.Frame, of.transform, of.square
     start_at, translation_at, held_centre = of.start_at, of.translation_at, of.held_centre
@@ -478,7 +461,7 @@ def reduced_kernels_for(dim: int, terms: int) -> SimpleNamespace:
         theta = row[wp.static(THETA)]
         tolerance = row[wp.static(TOLERANCE)]
         most = int(row[wp.static(MOST_ITERATIONS)])
-        modes = of.sums(body, row, beta, False)
+        modes = of.sums(body, row, beta)
         # theta = 0: R maximises tr(R^T K); what K leaves free stays as at the start
         r_start = of.identity()
         a_start = square()
@@ -567,7 +550,7 @@ def reduced_kernels_for(dim: int, terms: int) -> SimpleNamespace:
                     own_start = bool(False)
                     a = good_a
                     r = good_r
-            t = of.assemble(body, row, beta, good_gain * beta, good_r, one, one, False)
+            t = of.assemble(body, row, beta, good_gain * beta, good_r)
             residual, r, a = of.misfit(body, row, t, beta, theta)
             if not found or residual <= tolerance:
                 break
@@ -599,47 +582,6 @@ def reduced_kernels_for(dim: int, terms: int) -> SimpleNamespace:
                 place -= metres * body.held_mean[j]
             result[wp.static(translation_at) + i] = place
 
-    @differentiating
-    def differentiate(body: ReducedBody, rows: wp.array2d(dtype=scalar), results: wp.array3d(dtype=scalar)):
-        """Derivatives of the static state given as the start, by beta, then theta (implicit function)."""
-        candidate = wp.tid()
-        row = rows[candidate]
-        beta = row[wp.static(BETA)]
-        theta = row[wp.static(THETA)]
-        t = transform()
-        for i in range(wp.static(dim)):
-            for j in range(wp.static(terms)):
-                t[i, j] = row[wp.static(start_at) + i * wp.static(terms) + j]
-        r, fitted = of.fit(body, row, t)
-        a = of.linear_part(fitted)
-        modes = of.sums(body, row, beta, False)
-        frame = of.volume_frame(body, a, theta)
-        weight = of.weight_of(modes.k)
-        for which in range(2):
-            own = transform()
-            own_e = square()  # how beta * gain changes at an unchanged state
-            value = of.unknowns()
-            if which == 0:
-                d_modes = of.sums(body, row, beta, True)
-                own_e = frame.gain
-                own = of.assemble(body, row, beta, frame.gain * beta, r, zero, one, True)
-                value = of.defect(square(), r, frame.gain * beta, d_modes)
-            else:
-                own_e = beta * of.volume_change(body, a, theta, frame, square(), one)
-            value += of.pack(own_e * modes.n, of.axial(wp.transpose(r) * own_e * modes.v))
-            x = of.solve(body, a, r, beta, theta, frame, modes, weight, value)
-            da, dturn = of.unpack(x)
-            de = own_e + beta * of.volume_change(body, a, theta, frame, da, zero)
-            own += of.assemble(body, row, beta, de, r * of.spin(dturn), one, zero, False)
-            result = results[candidate, which]
-            for i in range(wp.static(dim)):
-                place = zero
-                for j in range(wp.static(terms)):
-                    metres = own[i, j] * body.radius
-                    result[wp.static(TRANSFORM) + i * wp.static(terms) + j] = metres
-                    place -= metres * body.held_mean[j]
-                result[wp.static(translation_at) + i] = place
-
-    made = members(ReducedBody, relax, differentiate, square=square)
+    made = members(ReducedBody, relax, square=square)
     made.vec, made.basis_vec, made.row_width, made.result_width = of.vec, of.basis_vec, of.row_width, of.result_width
     return made

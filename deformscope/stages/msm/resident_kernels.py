@@ -168,26 +168,6 @@ def iterate_for(given: Resident, operate: Any) -> Any:
     return iterate
 
 
-def aim_for(given: Resident) -> Any:
-    """The function that begins a linear solve."""
-    f, meet, keep = given.newton, given.meet, given.keep
-    Span, NewtonState = f.Span, f.NewtonState
-
-    @wp.func
-    def aim_at(span: Span, newton: NewtonState, group: int, thread: int, threads: int):
-        """A linear solve begins, with its right-hand side as the residual."""
-        right = newton.residual
-        square, _same = f.inner_products(span, right, right, right, right, group, thread, threads)
-        keep(newton, 0, group, thread, f.joined(square))
-        if thread == 0:
-            f.aim(span, newton, group)
-        meet()
-        for block in range(thread, span.blocks, threads):
-            f.begin(span, newton, group, block)
-
-    return aim_at
-
-
 @functools.cache
 def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> SimpleNamespace:
     """Kernels that stay, for lattices of `dim` = 2 or 3, scalar = wp.float32 or wp.float64; lanes of `width`, 1 on a
@@ -206,7 +186,7 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
     )
     given = resident_for(dim, scalar, width, window)
     Passes, Span, NewtonState = given.types
-    operate, aim_at = operate_for(given), aim_for(given)
+    operate = operate_for(given)
     whole, look_ahead, meet = given.lattice.whole, given.lattice.look_ahead, given.meet
     iterate = iterate_for(given, operate)
 
@@ -245,14 +225,8 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
         group = index / passes.threads
         iterate(passes, span, newton, limit, group, index - group * passes.threads)
 
-    @relax_kernel
-    def aim(span: Span, newton: NewtonState, threads: int):
-        index = wp.tid()
-        group = index / threads
-        aim_at(span, newton, group, index - group * threads, threads)
-
     small = given.newton.small_kernels(relax_kernel, steps_kernel)
-    made = members(steps, relax, aim, *small)
+    made = members(steps, relax, *small)
     if on_cpu:
         made.goals = goals
     return made

@@ -1,4 +1,4 @@
-"""The MSM engine: rest data on a device, two methods for many candidates at once, and its derivatives."""
+"""The MSM engine: rest data on a device, and two methods for many candidates at once."""
 
 import copy
 import functools
@@ -14,7 +14,7 @@ from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.msm import multigrid
 from deformscope.stages.msm.body import Body, BodyRest, Operator, Parameters
-from deformscope.stages.msm.cluster_functions import BY_BETA, BY_THETA, NONE, VOLUMES
+from deformscope.stages.msm.cluster_functions import NONE, VOLUMES
 from deformscope.stages.msm.clusters import Clusters, LatticeClusters, held_mask
 from deformscope.stages.msm.general import GeneralBody
 from deformscope.stages.msm.iteration import Anderson, Ended, Newton
@@ -30,9 +30,6 @@ Precision = Literal["float32", "float64"]
 
 TOLERANCE = {"float64": 1e-9, "float32": 3e-5}
 """Default tolerance of `relax`, as a share of the body's extent."""
-
-LINEAR_TOLERANCE = {"float64": 1e-10, "float32": 1e-5}
-"""Tolerance of a derivative's linear equations, as a share of their right-hand side."""
 
 PARTICLES_AT_ONCE = 2_000_000
 """Particles of all candidates together that `relax` holds at once: at most some 2 GB; more are taken in turns."""
@@ -80,15 +77,6 @@ class Relaxed:
     def settled(self) -> FloatArray:
         """`position` (B, K, d), NaN where it did not converge."""
         return np.asarray(np.where(self.converged[:, None, None], self.position, np.nan))
-
-
-@dataclass(frozen=True, slots=True)
-class Sensitivity:
-    """How static states move with beta and with theta (B, K, d) [m]; converged: all equations were solved."""
-
-    beta: FloatArray
-    theta: FloatArray
-    converged: bool
 
 
 class Moving:
@@ -467,59 +455,6 @@ class Msm:
         count = np.zeros(size, dtype=int)
         return Relaxed(position, none, none.copy(), count, yes, ~yes, count.copy(), ~yes, ~yes)
 
-    # -- derivatives -----------------------------------------------------------------------------------------------
-
-    def sensitivity(
-        self,
-        position: FloatArray,
-        beta: FloatArray | float,
-        theta: FloatArray | float = 0.0,
-        *,
-        volume: Volume = "scale",
-    ) -> Sensitivity:
-        """How static states move with beta and theta, by implicit differentiation: (I - J) dx = d goals. position: (K,
-        d) or (B, K, d), static for these parameters (`relax`), held particles in place"""
-        position = np.asarray(position, np.float64).reshape(-1, *self.rest.shape)
-        if self._one is not None:
-            one = self._one
-            held = one.hold(position[:, self.held])
-            found = one.relax(held, np.asarray(beta, np.float64).reshape(-1), theta, volume=volume, start=position)
-            moved = one.changes(found, held, beta, theta, volume=volume)
-            return Sensitivity(moved[0], moved[1], bool(found.converged.all()))
-        method = self._at(position, beta, theta, volume)
-        out = []
-        good = True
-        for by in (BY_BETA, BY_THETA):
-            if isinstance(method, Newton):
-                method.derive(by, VOLUMES[volume] if by == BY_THETA else None)
-                good &= method.solve(LINEAR_TOLERANCE[self.precision])
-                out.append(method.layout.get(method.step, self.dim) * self.scale)
-            else:
-                method.derive_goals(by, method.volume, method.linear_right)
-                good &= method.solve(LINEAR_TOLERANCE["float64"], _most_iterations(len(self.rest)))
-                out.append(method.layout.get(method.u, self.dim) * self.scale)
-                method.layout.put(self._displacements(position), method.u)
-                method.evaluate()
-        return Sensitivity(out[0], out[1], good)
-
-    def _at(
-        self,
-        position: FloatArray,
-        beta: FloatArray | float,
-        theta: FloatArray | float,
-        volume: Volume,
-        method_kind: type[Newton] | None = None,
-    ) -> Any:
-        """The method, evaluated at positions (B, K, d). method_kind: which, where it only is to be evaluated"""
-        _, beta_b, theta_b = self._candidates(position[:, self.held], beta, theta)
-        size = max(len(position), len(beta_b))
-        kind, size, how = self._kind(theta_b, size, volume)
-        method = self._method(method_kind or kind, size, how)
-        method.set(np.broadcast_to(beta_b, (size, *beta_b.shape[1:])), np.broadcast_to(theta_b, (size,)))
-        method.layout.put(self._displacements(position), method.u)
-        method.evaluate()
-        return method
-
     # -- time stepping ---------------------------------------------------------------------------------------------
 
     def start(self, size: int = 1, position: FloatArray | None = None) -> Moving:
@@ -603,9 +538,18 @@ class Msm:
         """goals(x) - x at the given positions (K, d) or (B, K, d), 0 at held particles: (B, K, d)."""
         if isinstance(beta, AxisBeta):
             return self._along(beta, theta).residual(position, beta.value[:, None, :])
-        position = np.asarray(position, dtype=np.float64).reshape(-1, *self.rest.shape)
-        method = self._at(position, beta, theta, volume, Newton)
+        method = self._at(np.asarray(position, dtype=np.float64).reshape(-1, *self.rest.shape), beta, theta, volume)
         return np.asarray(method.layout.get(method.residual, self.dim) * self.scale)
+
+    def _at(self, position: FloatArray, beta: FloatArray | float, theta: FloatArray | float, volume: Volume) -> Newton:
+        """Newton's method, evaluated at positions (B, K, d)."""
+        _, beta_b, theta_b = self._candidates(position[:, self.held], beta, theta)
+        _, size, how = self._kind(theta_b, max(len(position), len(beta_b)), volume)
+        method: Newton = self._method(Newton, size, how)
+        method.set(np.broadcast_to(beta_b, (size, *beta_b.shape[1:])), np.broadcast_to(theta_b, (size,)))
+        method.layout.put(self._displacements(position), method.u)
+        method.evaluate()
+        return method
 
     def reaction(self, position: FloatArray, beta: FloatArray | float, theta: FloatArray | float = 0.0) -> FloatArray:
         """Force of each particle on its support, per unit of the body's stiffness k [m]: (B, K, d).

@@ -61,16 +61,6 @@ def effort(monkeypatch: pytest.MonkeyPatch) -> Iterator[Effort]:
 
         return relax
 
-    def solving(plain: Callable[..., bool], allowed: Callable[..., int]) -> Callable[..., bool]:
-        def solve(self: Any, *args: Any) -> bool:
-            good = plain(self, *args)
-            if good:
-                needed = self.state.total.numpy()[: self.layout.candidates].max()
-                counted.shares.append((plain.__qualname__, needed / allowed(self, *args)))
-            return good
-
-        return solve
-
     def relaxing_one(plain: Callable[..., Any]) -> Callable[..., Any]:
         def relax(self: Any, *args: Any, max_iterations: int = 200, **options: Any) -> Any:
             found = plain(self, *args, max_iterations=max_iterations, **options)
@@ -82,8 +72,6 @@ def effort(monkeypatch: pytest.MonkeyPatch) -> Iterator[Effort]:
 
     for kind in (Newton, Anderson):
         monkeypatch.setattr(kind, "relax", relaxing(kind.relax))
-    monkeypatch.setattr(Newton, "solve", solving(Newton.solve, lambda self, relative: self.state.most))
-    monkeypatch.setattr(Anderson, "solve", solving(Anderson.solve, lambda self, relative, most: most))
     monkeypatch.setattr(OneCluster, "relax", relaxing_one(OneCluster.relax))
     yield counted
     near = [f"{name}: {share:.0%}" for name, share in counted.shares if counted.judged and share > MOST_SHARE]

@@ -14,7 +14,7 @@ NEEDS = {"Haswell": "avx2", "SkylakeX": "avx512f"}
 """What a processor must have for the kernels that OpenBLAS has for a core type."""
 
 HANG_ON_CONVERGENCE = "cpu and 3D and quadratic and scale and 0.3"
-"""Tests of derivatives whose solves have no energy, the hardest of all; `make test-cores` runs every test of stages."""
+"""Tests whose solves have no energy, the hardest of all; `make test-cores` runs every test of stages."""
 
 RUN = """
 import sys, numpy, threadpoolctl, pytest
@@ -22,7 +22,7 @@ blas = [one for one in threadpoolctl.threadpool_info() if one.get("internal_api"
 if not blas:
     sys.exit(77)
 assert {one["architecture"] for one in blas} == {sys.argv[1]}, blas
-sys.exit(pytest.main(["-q", "-p", "no:cacheprovider", "tests/stages/msm/test_gradient.py", "-k", sys.argv[2]]))
+sys.exit(pytest.main(["-q", "-p", "no:cacheprovider", "tests/stages/msm/test_linear_map.py", "-k", sys.argv[2]]))
 """
 
 

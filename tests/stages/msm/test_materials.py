@@ -204,7 +204,7 @@ def test_what_it_does_not_do_is_refused(device: str) -> None:
     with pytest.raises(ValueError, match="linear basis"):
         Msm(body.rest, body.clusters(3), body.held, basis="quadratic", device=device).relax(body.held_position, beta)
     with pytest.raises(ValueError, match="relax and residual alone"):
-        linear.sensitivity(body.rest, beta)  # type: ignore[arg-type]
+        linear.step(linear.start(), body.held_position, beta)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="between 0 and 1"):
         AxisBeta(np.array([0.2, 1.2]))
     with pytest.raises(ValueError, match="orthonormal"):

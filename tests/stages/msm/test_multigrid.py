@@ -125,29 +125,6 @@ def test_states_are_those_without_it_and_obey_the_equations(
         assert np.sqrt(np.mean(np.sum(left**2, axis=-1))) < 1e-9 * engine.extent
 
 
-@pytest.mark.parametrize("name", ["2D, holes"])
-def test_derivatives_are_those_of_a_dense_solve(name: str, device: str) -> None:
-    engine, held = _poked(name, device)
-    position = engine.relax(held, 0.9, tolerance=1e-12).position[0]
-    rest = reference.build_rest(engine.rest, engine._clusters, engine.held)
-    unknowns = np.flatnonzero(np.repeat(engine.free, engine.dim))
-
-    def goals(x: FloatArray, beta: float = 0.9) -> FloatArray:
-        return reference_states.goals(x, rest, beta).reshape(-1)[unknowns]
-
-    h = 1e-5
-    jacobian = np.empty((len(unknowns), len(unknowns)))
-    for column, one in enumerate(unknowns):
-        away = np.zeros_like(position)
-        away.reshape(-1)[one] = h
-        jacobian[:, column] = (goals(position + away) - goals(position - away)) / (2 * h)
-    by_beta = (goals(position, 0.9 + h) - goals(position, 0.9 - h)) / (2 * h)
-    exact = np.linalg.solve(np.eye(len(unknowns)) - jacobian, by_beta)
-    found = engine.sensitivity(position, 0.9)
-    assert found.converged
-    np.testing.assert_allclose(found.beta[0].reshape(-1)[unknowns], exact, atol=1e-6 * np.abs(exact).max())
-
-
 def test_betas_of_clusters_are_those_without_it(device: str, monkeypatch: pytest.MonkeyPatch) -> None:
     engine, held = _poked("2D, holes", device)
     beta = np.random.default_rng(1).uniform(0.0, 0.99, (5, engine.cluster_count))
@@ -166,10 +143,6 @@ def test_a_candidate_that_nothing_moves_stays_among_others(device: str) -> None:
     np.testing.assert_allclose(found.position[[0, 4]], engine.rest[None].repeat(2, axis=0), atol=1e-9)
     alone = engine.relax(some[2], 0.7)
     np.testing.assert_allclose(found.position[2], alone.position[0], atol=1e-8 * engine.extent)
-    moves = engine.sensitivity(found.position, 0.7)
-    assert moves.converged
-    assert np.abs(moves.beta[0]).max() < 1e-9
-    np.testing.assert_allclose(moves.beta[2], engine.sensitivity(alone.position, 0.7).beta[0], atol=1e-7)
 
 
 @pytest.mark.parametrize("kind", ["long", "cut apart", "narrow"])
@@ -214,7 +187,11 @@ def test_cycles_hardly_grow_with_the_body(dim: int, sides: tuple[int, ...], beta
         right = np.zeros((1, *engine.rest.shape))
         right[0, engine.rest[:, 0] == side - 2, 0] = 1.0  # just below the top
         newton.layout.put(right, newton.residual)
-        assert newton.solve(1e-8)
+        newton.multigrid.reset()
+        newton._begin(0.0, 1e-8, outer=0)
+        newton.replay(newton._launch_aim)
+        newton._descend(newton.state.most)
+        assert (newton.state.square.numpy() <= newton.state.target.numpy())[0]
         cycles.append(int(newton.multigrid.applied.numpy()[0]))
     assert cycles[-1] <= 1.6 * cycles[0], cycles
     assert cycles[-1] <= 25, cycles
