@@ -205,44 +205,6 @@ def test_too_few_iterations_are_not_called_converged(device: str) -> None:
     assert not one.relax(one.hold(np.full_like(position, np.nan)), 0.9, 0.5).converged.any()
 
 
-@pytest.mark.parametrize("volume", VOLUMES)
-@pytest.mark.parametrize(
-    ("shape", "basis"),
-    slow_but(
-        [((4, 4, 4), "quadratic"), ((6, 5, 1), "quadratic")],
-        list(itertools.product([(5, 5), (4, 4, 4), (6, 5, 1)], BASES)),
-    ),
-)
-def test_sensitivities_are_those_of_finite_differences(
-    device: str, shape: tuple[int, ...], basis: Basis, volume: Volume
-) -> None:
-    rng = np.random.default_rng(5)
-    rest = rough(shape, rng)
-    if shape[-1] == 1:
-        rest[:, -1] = 0.0
-    mass = rng.uniform(0.5, 2.0, len(rest))
-    held = rng.choice(len(rest), 8, replace=False)
-    one = OneCluster(rest, held, mass=mass, basis=basis, device=device)
-    holding = one.hold(rest[held] + rng.normal(0.0, 0.005, (8, len(shape))))
-    beta, theta, h = np.array([0.4, 0.8, 0.98]), np.array([0.2, 0.9, 0.5]), 1e-5
-
-    def places(beta: FloatArray, theta: FloatArray) -> FloatArray:
-        state = one.relax(holding, beta, theta, volume=volume, tolerance=1e-12)
-        assert state.converged.all()
-        return one.positions(state, holding)
-
-    state = one.relax(holding, beta, theta, volume=volume)
-    by_beta, by_theta = one.changes(state, holding, beta, theta, volume=volume)
-    for found, low, high in (
-        (by_beta, places(beta - h, theta), places(beta + h, theta)),
-        (by_theta, places(beta, theta - h), places(beta, theta + h)),
-    ):
-        expected = (high - low) / (2.0 * h)
-        worst = np.abs(found - expected).max(axis=(1, 2)) / np.abs(expected).max(axis=(1, 2))
-        assert worst.max() < 1e-6
-        assert np.all(found[:, held] == 0.0)
-
-
 @pytest.mark.parametrize("basis", BASES)
 def test_sheets_in_space(device: str, basis: Basis) -> None:
     """Flat ones, whose normal follows the rotation, and nearly flat ones, whose thickness the fit leaves out."""
