@@ -27,10 +27,9 @@ from deformscope.pictures.report import Table
 from deformscope.results.declared import reported as stated
 from deformscope.results.render import to_json
 from deformscope.stages.squeeze.evaluation import held_values
-from deformscope.stages.squeeze.intervals import Estimated, Interval
 from deformscope.stages.squeeze.model import ContentModel, fit_model
 from deformscope.stages.squeeze.model_check import score_of, targets
-from deformscope.stages.squeeze.scores import BINS, ClassificationScore
+from deformscope.stages.squeeze.scores import BINS, ClassificationScore, Estimated, Interval
 from deformscope.stages.squeeze.table import LabelledTable, absent
 from studies.reproduce.container_trials import SqueezeJob, run_squeeze
 from studies.runner import Study, StudyOptions, StudyReport, Trials

@@ -18,8 +18,7 @@ from deformscope.config import flags
 from deformscope.pictures.report import Table
 from deformscope.runs.classification import table_from
 from deformscope.stages.squeeze.classifiers import SHARES, Name, columns_of, fit, floored, folds_of
-from deformscope.stages.squeeze.splits import draw
-from deformscope.stages.squeeze.table import LabelledTable
+from deformscope.stages.squeeze.table import LabelledTable, draw
 from deformscope.stages.squeeze.trial_run import sides_of
 from studies.runner import Study, StudyOptions, StudyReport, Trials
 

@@ -16,7 +16,7 @@ from deformscope.config import flags
 from deformscope.pictures.report import Table
 from deformscope.runs.classification import ClassificationResult
 from deformscope.stages.squeeze.evaluation import EvaluationOptions, evaluate
-from deformscope.stages.squeeze.intervals import wilson
+from deformscope.stages.squeeze.scores import wilson
 from deformscope.stages.squeeze.table import LabelledTable
 from studies.independent.labelled_rows import CASES, Case, rows_of
 from studies.map_score import Z_90

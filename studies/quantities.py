@@ -7,7 +7,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from deformscope.pictures.report import Table
-from deformscope.stages.squeeze.intervals import wilson
+from deformscope.stages.squeeze.scores import wilson
 
 OutcomeT = TypeVar("OutcomeT")
 KeyT = TypeVar("KeyT")

@@ -7,7 +7,7 @@ python -m studies regions --objects 20 --touches 12 --only scenes
 
 Do a map's probabilities and intervals hold? Explorations of known surfaces, touched in closed form.
 
-A touch is the stiffness under its contact plus its errors (`LabErrors`, `touch_error`): no arm, no finite elements, so
+A touch is the stiffness under its contact plus its errors (`LabErrors`, `touches`): no arm, no finite elements, so
 that hundreds of explorations take minutes. Posterior, planner and stop rule are those of `explore`. Truths come from
 the estimator's own prior (simulation-based calibration, Talts et al. 2018), and from scenes and errors that violate it.
 """
@@ -36,8 +36,14 @@ from deformscope.stages.map.plan import FieldKernel, PlanOptions, plan_touch
 from deformscope.stages.regions.levels import RegionPrior
 from deformscope.stages.regions.partitions import draw
 from deformscope.stages.regions.posterior import SLOPES_PER_M, SMOOTH_LENGTHS_M, SMOOTH_SDS, RegionPosterior
-from deformscope.stages.regions.touch_error import LAW_SD, SCATTER_LENGTH_M, SCATTER_SHARED, TouchErrorModel
-from deformscope.stages.regions.touches import MapGrid, StiffnessSample
+from deformscope.stages.regions.touches import (
+    LAW_SD,
+    SCATTER_LENGTH_M,
+    SCATTER_SHARED,
+    MapGrid,
+    StiffnessSample,
+    TouchErrorModel,
+)
 from studies.independent.random_maps import random_surface
 from studies.map_score import Z_90, TrueMap
 from studies.quantities import Quantity, Rate, band, by, number, rows, share, table
@@ -232,7 +238,7 @@ def known_surface(condition: RegionCondition, seed: int, prior: RegionPrior) -> 
         name = condition.scene or SCENES[seed % len(SCENES)]
         true, felt = _from_scene(name, seed, grid, places_m, float(rng.uniform(*BLUR_M)))
     field = session.scatter(places_m)
-    if condition.errors is None:  # as `touch_error` has it: neighbours share a part
+    if condition.errors is None:  # as `TouchErrorModel` has it: neighbours share a part
         own = session.scatter_sd * rng.standard_normal(len(places_m))
         field = np.sqrt(SCATTER_SHARED) * field + np.sqrt(1.0 - SCATTER_SHARED) * own
     return KnownSurface(true, places_m, felt + field, felt, gain, arm, session.scatter_sd, seed)

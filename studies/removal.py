@@ -35,8 +35,7 @@ from deformscope.robot.description import AS_CAPSULES, Removal, RobotDescription
 from deformscope.robot.placement import Placement
 from deformscope.robot.readings import ArmSample
 from deformscope.robot.setup import T_BASE_SURFACE, CameraView
-from deformscope.stages.see.align import as_seen
-from deformscope.stages.see.cloud import Box, Intrinsics, back_project, not_alone, within
+from deformscope.stages.see.cloud import Box, Intrinsics, as_seen, back_project, not_alone, within
 from deformscope.stages.see.pixel_labels import PixelLabel
 from deformscope.stages.see.robot import label_robot, measured
 from deformscope_drivers.arm.kinematics import transform

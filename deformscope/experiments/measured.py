@@ -34,8 +34,7 @@ from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, Touc
 from deformscope.stages.map.perception import force_pose
 from deformscope.stages.poke.contact import ArmCompliance
 from deformscope.stages.poke.layer_seen import AROUND_M, WITHIN_M, TableSeen, find_table
-from deformscope.stages.regions.touch_error import GAIN_SD, TouchErrorModel
-from deformscope.stages.regions.touches import MapGrid
+from deformscope.stages.regions.touches import GAIN_SD, MapGrid, TouchErrorModel
 from deformscope.stages.see.cloud import Box, Intrinsics, Perceived, perceive
 from deformscope.stages.see.pixel_labels import SeenPixels
 from deformscope.stages.see.robot import PosedRobot

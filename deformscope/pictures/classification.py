@@ -10,8 +10,7 @@ from deformscope.arrays import FloatArray
 from deformscope.pictures.figures import COLOURS, canvas, png_of
 from deformscope.stages.squeeze.evaluation import Evaluation
 from deformscope.stages.squeeze.groupings import Grouping
-from deformscope.stages.squeeze.intervals import Estimated
-from deformscope.stages.squeeze.scores import ClassificationScore
+from deformscope.stages.squeeze.scores import ClassificationScore, Estimated
 from deformscope.stages.squeeze.table import LabelledTable
 
 if TYPE_CHECKING:

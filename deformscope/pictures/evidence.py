@@ -15,8 +15,8 @@ from deformscope.arrays import BoolArray, FloatArray, ImageArray, IntArray
 from deformscope.pictures.close_up import CloseUp, close_up
 from deformscope.pictures.figures import canvas, png_of
 from deformscope.pictures.palette import HELD, OBSERVED, REST, SIMULATED, hexadecimal, readable, round_up
-from deformscope.stages.fit.distance import distances
 from deformscope.stages.fit.estimate import Comparison, Estimate, PushCurve
+from deformscope.stages.fit.model import distances
 from deformscope.stages.see.triangulation import spacing_of, triangulate
 
 if TYPE_CHECKING:

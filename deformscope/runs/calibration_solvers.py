@@ -17,11 +17,10 @@ from deformscope.rig.rig_file import Rig
 from deformscope.robot.placement import Placement
 from deformscope.runs.rig_calibration import Arrays, RigCalibrationResult
 from deformscope.stages.setup.board import CharucoSpec
-from deformscope.stages.setup.force import FreeAir, force_gain, free_air, hanging_weight, mount, tool_load
+from deformscope.stages.setup.force import FreeAir, force_gain, free_air, hanging_weight, mount, pivot, tool_load
 from deformscope.stages.setup.hand_eye import KnownLens, camera_from_touches, camera_from_views, doubt_at, hand_eye
 from deformscope.stages.setup.place import CORNER_NAMES, place
 from deformscope.stages.setup.timing import time_offset
-from deformscope.stages.setup.tip import pivot
 from deformscope.stages.setup.transform import LEVEL, TransformEstimate
 
 T95 = 1.7

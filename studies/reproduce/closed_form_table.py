@@ -18,8 +18,7 @@ from deformscope.stages.map.plan import FieldKernel, PlanOptions, plan_touch
 from deformscope.stages.poke.contact import RIGID_SDS, ArmCompliance
 from deformscope.stages.regions.levels import RegionPrior
 from deformscope.stages.regions.posterior import RegionPosterior
-from deformscope.stages.regions.touch_error import LAW_SD
-from deformscope.stages.regions.touches import MapGrid, StiffnessSample
+from deformscope.stages.regions.touches import LAW_SD, MapGrid, StiffnessSample
 from studies.map_score import Z_90, TrueMap, score_map
 from studies.reproduce.table41_runs import MapAfter, TableJob, TableRun
 

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from deformscope.stages.squeeze.evaluation import Evaluation
-from deformscope.stages.squeeze.intervals import difference
-from deformscope.stages.squeeze.scores import ClassificationScore
+from deformscope.stages.squeeze.scores import ClassificationScore, difference
 from deformscope.stages.squeeze.trial_run import Method
 
 HARDNESS = ("empty", "water", "yogurt", "rice", "flour")

@@ -21,11 +21,9 @@ from deformscope.errors import InputError
 from deformscope.files.arrays_file import read_arrays
 from deformscope.files.pairs import parse_pair
 from deformscope.lab.elasticity import ElasticBox
-from deformscope.stages.fit.at_value import simulate
-from deformscope.stages.fit.calibrate import calibrate
-from deformscope.stages.fit.distance import distances
+from deformscope.stages.fit.calibrate import calibrate, simulate
 from deformscope.stages.fit.estimate import Curve, Estimate
-from deformscope.stages.fit.model import FitOptions, Model, Observation
+from deformscope.stages.fit.model import FitOptions, Model, Observation, distances
 from deformscope.stages.msm import clusters
 from deformscope.stages.msm.solver import Msm
 from studies.reproduce.both_fit import FitBoth, fit_beta_theta

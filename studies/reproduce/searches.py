@@ -4,8 +4,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from deformscope.stages.fit.distance import distances
-from deformscope.stages.fit.model import Model, Observation
+from deformscope.stages.fit.model import Model, Observation, distances
 from deformscope.stages.fit.search import Search
 from studies.reproduce.fixed_step import fixed_step_descent
 

@@ -31,8 +31,8 @@ from deformscope.experiments.explore.options import ExploreOptions
 from deformscope.experiments.explore.search import RegionSearch
 from deformscope.experiments.explore.seen_surface import SeenSurface
 from deformscope.experiments.explore.touch_fit import TouchContact
-from deformscope.stages.fit.distance import nearest_error
 from deformscope.stages.fit.estimate import Curve
+from deformscope.stages.fit.model import nearest_error
 from deformscope.stages.gaussian_process import Kernel, ProcessPrediction
 from deformscope.stages.map.detection_limit import INCLUSION_RADII_M, detection_limit
 from deformscope.stages.map.exploration import TouchEstimate
@@ -46,8 +46,7 @@ from deformscope.stages.poke.creep import CreepFit
 from deformscope.stages.poke.poke_fit import DOWN
 from deformscope.stages.regions.levels import RegionPrior
 from deformscope.stages.regions.posterior import RegionPosterior
-from deformscope.stages.regions.touch_error import TouchErrorModel
-from deformscope.stages.regions.touches import MapGrid
+from deformscope.stages.regions.touches import MapGrid, TouchErrorModel
 from studies.reproduce.thesis_dent import SeenDent, seen_dent
 
 SIGMA_E, SIGMA_W_M, SIGMA_N = 1.0, 0.5, 0.05

@@ -42,8 +42,7 @@ from deformscope.stages.map.plan import ALLOWED
 from deformscope.stages.poke.contact import EXPONENT, ArmCompliance
 from deformscope.stages.poke.creep import CreepFit
 from deformscope.stages.regions.posterior import RegionMap
-from deformscope.stages.regions.touch_error import TouchErrorModel
-from deformscope.stages.regions.touches import MapGrid, StiffnessSample
+from deformscope.stages.regions.touches import MapGrid, StiffnessSample, TouchErrorModel
 from deformscope.stages.see.pixel_labels import SeenPixels
 
 StageResult = TypeVar("StageResult")

@@ -16,8 +16,7 @@ from deformscope.stages.map.plan import INCLUSION_M, PlanOptions
 from deformscope.stages.poke.creep import REFERENCE_SPEED_M_S, CreepFit
 from deformscope.stages.regions.levels import RegionPrior
 from deformscope.stages.regions.posterior import RegionPosterior
-from deformscope.stages.regions.touch_error import LAW_SD, TouchErrorModel
-from deformscope.stages.regions.touches import MapGrid, StiffnessSample
+from deformscope.stages.regions.touches import LAW_SD, MapGrid, StiffnessSample, TouchErrorModel
 
 SPEED_SD = 0.03
 """Change of log stiffness for each e-fold of the approach speed, for touches without a fitted creep. Assumed: a third

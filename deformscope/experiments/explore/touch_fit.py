@@ -17,7 +17,7 @@ from deformscope.stages.poke.contact import Z_90, ArmCompliance, ContactFit, fit
 from deformscope.stages.poke.creep import CreepFit, fit_creep
 from deformscope.stages.poke.layer_seen import LayerModulus, modulus_of
 from deformscope.stages.poke.local_shape import LocalShape, ShapeShift
-from deformscope.stages.regions.touch_error import TouchErrorModel
+from deformscope.stages.regions.touches import TouchErrorModel
 
 NEAR_M = 0.08
 """Points within this of a touch are shown with it."""

@@ -18,7 +18,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray
-from deformscope.stages.fit.distance import rigid_positions
 from deformscope.stages.fit.estimate import (
     EXPLAINED_LEAST,
     EXPLAINED_LOW,
@@ -29,7 +28,7 @@ from deformscope.stages.fit.estimate import (
     NoiseSource,
     Verdict,
 )
-from deformscope.stages.fit.model import Model, Observation
+from deformscope.stages.fit.model import Model, Observation, rigid_positions
 from deformscope.stages.fit.plausible import LARGE_M, size_of
 from deformscope.stages.msm.solver import Msm
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.errors import InputError
-from deformscope.stages.fit.distance import rigid_positions
+from deformscope.stages.fit.model import rigid_positions
 
 LARGEST_M, LARGE_M = 5.0, 1.0
 """No body that is handled is larger than the first [m]; one larger than the second is worth a note."""

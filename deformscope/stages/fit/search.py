@@ -12,8 +12,7 @@ import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.stages.fit.distance import distances
-from deformscope.stages.fit.model import Model, Observation
+from deformscope.stages.fit.model import Model, Observation, distances
 from deformscope.stages.msm.solver import Msm, Relaxed
 
 TOLERANCE, ROUNDS = 1e-4, 6

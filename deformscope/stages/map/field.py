@@ -21,8 +21,7 @@ from threadpoolctl import threadpool_limits
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.gaussian_process import Kernel, ProcessPrediction
-from deformscope.stages.regions.touch_error import SCATTER_MEDIAN
-from deformscope.stages.regions.touches import MapGrid
+from deformscope.stages.regions.touches import SCATTER_MEDIAN, MapGrid
 
 FREEDOM = 3.0
 """Number of deviations from their priors within which hyper-parameters are searched."""
@@ -52,7 +51,7 @@ class FieldPrior:
     sigma_e: deviation of the field [its unit]; length_m [m]; nugget: deviation from touch to touch at one place
     level_sd: deviation of the constant mean around that of the touches; large, so that only touches determine it. The
     defaults are for log stiffness: foams that differ by a factor of 1.2 to 3, regions of 10 to 40 cm, and the scatter
-    of touches in `stages.regions.touch_error`. For beta, 0 to 1, `BETA_PRIOR`."""
+    of touches in `stages.regions.touches`. For beta, 0 to 1, `BETA_PRIOR`."""
 
     sigma_e: float = 0.5
     sigma_e_spread: float = 0.8

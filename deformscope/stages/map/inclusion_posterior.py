@@ -30,8 +30,7 @@ from deformscope.stages.map.exploration import InclusionsResult
 from deformscope.stages.poke.contact import CONTACTS, EXPONENT, law_response
 from deformscope.stages.poke.inclusion_footprint import contact_radius, contrast_share, footprint, inclusion_shift
 from deformscope.stages.regions.posterior import RegionMap
-from deformscope.stages.regions.touch_error import LAW_SD, TouchErrorModel
-from deformscope.stages.regions.touches import MapGrid, StiffnessSample
+from deformscope.stages.regions.touches import LAW_SD, MapGrid, StiffnessSample, TouchErrorModel
 
 EXISTS = 0.5
 """Probability before any touch that there is an inclusion: as likely as not. Probability of one more inclusion after

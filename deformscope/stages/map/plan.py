@@ -22,8 +22,7 @@ from deformscope.stages.map.inclusion_posterior import InclusionPosterior
 from deformscope.stages.regions.hypotheses import Expected, RegionHypotheses, RelatedTouches
 from deformscope.stages.regions.levels import labels_of
 from deformscope.stages.regions.posterior import RegionPosterior
-from deformscope.stages.regions.touch_error import TouchErrorModel
-from deformscope.stages.regions.touches import MapGrid
+from deformscope.stages.regions.touches import MapGrid, TouchErrorModel
 
 StopReason = Literal["budget", "nothing above the threshold", "little left to learn", "nowhere to go", "no lump missed"]
 

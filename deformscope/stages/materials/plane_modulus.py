@@ -20,11 +20,10 @@ from scipy.spatial.distance import cdist
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.stages.fit.distance import explained_share, unexplained
 from deformscope.stages.fit.doubts import known_of, little_explained
 from deformscope.stages.fit.estimate import Doubt, Plane, Posterior, WithInterval
 from deformscope.stages.fit.force import FLOW_WINDOW_PX, lattice_step, pushed_along
-from deformscope.stages.fit.model import Observation
+from deformscope.stages.fit.model import Observation, explained_share, unexplained
 
 RATIOS = np.array([0.0, 0.08, 0.16, 0.24, 0.32, 0.4, 0.45, 0.49])
 """Poisson's ratios that are simulated; quantities between them are interpolated."""

@@ -15,24 +15,22 @@ from deformscope.stages.fit.motion import Motion
 from deformscope.stages.fit.search import Progress
 from deformscope.stages.materials.yield_estimate import Parameter, YieldEstimate
 from deformscope.stages.materials.yield_evidence import (
-    excess_over,
-    interval_ends,
-    least_noise,
-    prescribed_noise,
-    shared_errors,
-    strain_grid,
-    strain_profile,
-    yield_doubts,
-)
-from deformscope.stages.materials.yield_history import SETTLED, YieldHistories, YieldOptions
-from deformscope.stages.materials.yield_search import (
     DIFFERENCE,
     LEAST_SHARE,
     deepest_valleys,
     elastic_minimum,
+    excess_over,
+    interval_ends,
+    least_noise,
     parameter_bounds,
+    prescribed_noise,
+    shared_errors,
+    strain_grid,
+    strain_profile,
     without_yielding,
+    yield_doubts,
 )
+from deformscope.stages.materials.yield_history import SETTLED, YieldHistories, YieldOptions
 
 SURE = 0.99
 """Level at which a body without yielding is rejected."""

@@ -28,8 +28,14 @@ from deformscope.results.declared import derived, reported
 from deformscope.results.render import ReportedResult
 from deformscope.stages.fit.creep_spectra import FASTEST, Spectrum, spectra
 from deformscope.stages.fit.estimate import Doubt, LengthUnit
-from deformscope.stages.fit.relaxation import ForceKept, kept_of, relaxation_modes, relaxation_posterior
-from deformscope.stages.fit.weighted_draws import DrawnModel, median_and_interval
+from deformscope.stages.fit.relaxation import (
+    DrawnModel,
+    ForceKept,
+    kept_of,
+    median_and_interval,
+    relaxation_modes,
+    relaxation_posterior,
+)
 
 SET_MEDIAN, SET_SPREAD = 0.06, 1.0
 """Log-normal prior of the share that is kept: 1 to 40 % [assumed]."""

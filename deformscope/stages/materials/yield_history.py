@@ -7,7 +7,7 @@ import numpy as np
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.fit.calibrate import BETA_LIMIT, Model, Observation
-from deformscope.stages.fit.distance import explained_share, unexplained
+from deformscope.stages.fit.model import explained_share, unexplained
 from deformscope.stages.fit.motion import Motion
 from deformscope.stages.msm.materials import Plasticity
 from deformscope.stages.msm.plastic import PlasticMsm

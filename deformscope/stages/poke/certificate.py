@@ -25,7 +25,7 @@ from deformscope.stages.poke.indentation import (
     combine,
     fit_indentation,
 )
-from deformscope.stages.regions.touch_error import LAW_SD
+from deformscope.stages.regions.touches import LAW_SD
 
 CAUSES = ("force gain", "depth scale", "tip radius", "compliance", "clock")
 """Logs of what a sensor says over the true force, of the arm's travel over the true one, and of the true tip over the

@@ -14,7 +14,7 @@ import scipy  # its parts are imported as they are first used: who only reads re
 
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.errors import InputError
-from deformscope.stages.regions.touch_error import LAW_SD
+from deformscope.stages.regions.touches import LAW_SD
 
 TipKind = Literal["sphere", "disc", "flat", "cone"]
 

@@ -30,8 +30,7 @@ import numpy as np
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.fit.estimate import Doubt
-from deformscope.stages.fit.relaxation import ForceKept, RelaxationSeen, kept_of, relaxing
-from deformscope.stages.fit.weighted_draws import median_and_interval
+from deformscope.stages.fit.relaxation import ForceKept, RelaxationSeen, kept_of, median_and_interval, relaxing
 from deformscope.stages.poke.contact import (
     EXPONENT,
     EXPONENT_SD,

@@ -14,8 +14,7 @@ import scipy  # its parts are imported as they are first used: who only reads re
 
 from deformscope.arrays import FloatArray
 from deformscope.stages.fit.creep_spectra import LARGEST_LOG, Spectrum, spectra
-from deformscope.stages.fit.relaxation import RelaxationDraws, relaxation_posterior
-from deformscope.stages.fit.weighted_draws import DrawnModel
+from deformscope.stages.fit.relaxation import DrawnModel, RelaxationDraws, relaxation_posterior
 from deformscope.stages.gaussian_process import correlation
 from deformscope.stages.poke.contact import LOADED, ArmCompliance
 

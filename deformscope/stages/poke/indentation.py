@@ -27,7 +27,7 @@ from deformscope.stages.poke.contact import (
 )
 from deformscope.stages.poke.creep import CreepFit, cycle_loss, drift_rate, fit_creep
 from deformscope.stages.poke.tip_law import Ground, Indenter, TipLaw
-from deformscope.stages.regions.touch_error import LAW_SD
+from deformscope.stages.regions.touches import LAW_SD
 
 FEWEST, AIR = 20, 5
 """Fewest samples of a curve, and of free air."""

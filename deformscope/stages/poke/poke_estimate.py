@@ -9,7 +9,6 @@ from scipy.spatial import cKDTree
 from scipy.special import logsumexp
 
 from deformscope.arrays import FloatArray
-from deformscope.stages.fit.distance import distances, nearest_error
 from deformscope.stages.fit.doubts import found_in_numbers, ordered
 from deformscope.stages.fit.estimate import (
     Comparison,
@@ -21,7 +20,7 @@ from deformscope.stages.fit.estimate import (
     verdict,
 )
 from deformscope.stages.fit.force import secant
-from deformscope.stages.fit.model import FORCE_SHARE
+from deformscope.stages.fit.model import FORCE_SHARE, distances, nearest_error
 from deformscope.stages.fit.noise import independent
 from deformscope.stages.fit.search import beta_of
 from deformscope.stages.msm.poke import Law, Tip

@@ -16,11 +16,10 @@ from scipy.special import logsumexp, ndtr, stdtr
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.gaussian_process import correlation
+from deformscope.stages.regions.hypotheses import SmoothField, SmoothKernel
 from deformscope.stages.regions.levels import RegionPrior
 from deformscope.stages.regions.posterior import PRIOR_EXTENT_M, PRIOR_MARGIN_M, RegionPosterior, SurfaceKind
-from deformscope.stages.regions.smooth import SmoothField, SmoothKernel
-from deformscope.stages.regions.touch_error import TouchErrorModel
-from deformscope.stages.regions.touches import MapGrid, StiffnessSample
+from deformscope.stages.regions.touches import MapGrid, StiffnessSample, TouchErrorModel
 
 OWN_SD = 0.01
 """Deviation of log stiffness: error of lattice and contact solutions in each poke, in addition to the estimated

@@ -1,6 +1,6 @@
 """Levels of stiffness of a map's regions, given touches: a Gaussian posterior in closed form (Bishop 2006).
 
-A touch averages the regions under its contact, whose forces add, plus its errors (`touch_error`)."""
+A touch averages the regions under its contact, whose forces add, plus its errors (`touches`)."""
 
 import math
 from collections.abc import Sequence
@@ -13,8 +13,7 @@ from scipy.special import ndtr
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.regions.partitions import FAMILY_SHARES, Partitions
-from deformscope.stages.regions.touch_error import TouchErrorModel
-from deformscope.stages.regions.touches import StiffnessSample
+from deformscope.stages.regions.touches import StiffnessSample, TouchErrorModel
 
 LINEARISED = 2
 """Number of estimates of the levels before a contact's stiffness is linearized about them."""

@@ -1,7 +1,7 @@
 """The regions of equal stiffness of a surface, from a few touches: a posterior over maps (Bayes).
 
 A map divides the surface into one to five regions (`partitions`), each with one level of log stiffness. A touch
-averages the regions under its contact, whose forces add, plus its errors (`touch_error`). Given a map and the scatter
+averages the regions under its contact, whose forces add, plus its errors (`touches`). Given a map and the scatter
 of touches the levels are integrated in closed form (a contact's stiffness is linear in them about their approximate
 values), and summed over the scatter. The maps are particles that every touch reweights and that move under the prior
 when few are left (iterated batch importance sampling, Chopin 2002). This also gives their evidence, which determines
@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.stages.regions.hypotheses import RegionHypotheses, RelatedTouches
+from deformscope.stages.regions.hypotheses import RegionHypotheses, RelatedTouches, SmoothField, SmoothKernel
 from deformscope.stages.regions.levels import (
     Readings,
     RegionPrior,
@@ -32,9 +32,7 @@ from deformscope.stages.regions.levels import (
 )
 from deformscope.stages.regions.partitions import Partitions
 from deformscope.stages.regions.resampling import WeightedMaps, prior_maps, systematic, updated
-from deformscope.stages.regions.smooth import SmoothField, SmoothKernel
-from deformscope.stages.regions.touch_error import LAW_SD
-from deformscope.stages.regions.touches import FIRST_REGIONS, MapGrid, StiffnessSample
+from deformscope.stages.regions.touches import FIRST_REGIONS, LAW_SD, MapGrid, StiffnessSample
 
 RegionMapKind = Literal["regions", "gradual"]
 SurfaceKind = Literal["uniform", "materials", "gradual"]

@@ -19,10 +19,32 @@ from deformscope.results.declared import reported
 from deformscope.stages.squeeze import groupings
 from deformscope.stages.squeeze.classifiers import NAMES
 from deformscope.stages.squeeze.groupings import Grouping, Normality, near_copies, without_near_copies
-from deformscope.stages.squeeze.intervals import Estimated, Interval, difference, holm, over_splits, share_of, wilson
-from deformscope.stages.squeeze.scores import ClassificationScore, accuracy_of, recalls, score_of, split_ratio, worth_of
-from deformscope.stages.squeeze.splits import PROTOCOLS, Protocol, Split, draw, splitting_notes
-from deformscope.stages.squeeze.table import LISTED, LabelledTable, absent, refuse_duplicates
+from deformscope.stages.squeeze.scores import (
+    ClassificationScore,
+    Estimated,
+    Interval,
+    accuracy_of,
+    difference,
+    holm,
+    over_splits,
+    recalls,
+    score_of,
+    share_of,
+    split_ratio,
+    wilson,
+    worth_of,
+)
+from deformscope.stages.squeeze.table import (
+    LISTED,
+    PROTOCOLS,
+    LabelledTable,
+    Protocol,
+    Split,
+    absent,
+    draw,
+    refuse_duplicates,
+    splitting_notes,
+)
 from deformscope.stages.squeeze.trial_run import Answers, Key, Method, joined_name, run_split
 
 Progress = Callable[[str, int, int], None]

@@ -11,7 +11,7 @@ import scipy
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.stages.squeeze.components import fit_scaling, kept_of, loadings
-from deformscope.stages.squeeze.intervals import lilliefors
+from deformscope.stages.squeeze.scores import lilliefors
 from deformscope.stages.squeeze.table import LabelledTable, absent
 from deformscope.stages.squeeze.trial_run import joined_name
 

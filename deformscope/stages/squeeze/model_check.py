@@ -10,9 +10,18 @@ from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.results.declared import derived, reported
 from deformscope.stages.squeeze.groupings import trained_on
-from deformscope.stages.squeeze.intervals import Estimated, Interval, share_among_new, trials_worth, wilson
 from deformscope.stages.squeeze.model import ContentModel
-from deformscope.stages.squeeze.scores import ClassificationScore, balanced_worth, clusters, reliability_of
+from deformscope.stages.squeeze.scores import (
+    ClassificationScore,
+    Estimated,
+    Interval,
+    balanced_worth,
+    clusters,
+    reliability_of,
+    share_among_new,
+    trials_worth,
+    wilson,
+)
 from deformscope.stages.squeeze.table import LabelledTable
 from deformscope.stages.squeeze.trial_run import joined_name
 

@@ -12,7 +12,7 @@ from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.stages.squeeze.classifiers import NAMES, Name, columns_of, fit, plain_quadratic, usable
 from deformscope.stages.squeeze.components import Space, fit_scaling, project
 from deformscope.stages.squeeze.fusion import Fitted, everywhere, fit_expert, fit_pool, fuse
-from deformscope.stages.squeeze.splits import Split
+from deformscope.stages.squeeze.table import Split
 
 Method = Name | Literal["pooled", "late-fusion"]
 Key = tuple[str, Method]

@@ -17,8 +17,7 @@ from deformscope.stages.fit.estimate import Doubt
 from deformscope.stages.map.measured import TouchMeasurement
 from deformscope.stages.poke.creep import REFERENCE_SPEED_M_S, CreepFit
 from deformscope.stages.regions.posterior import RegionPosterior
-from deformscope.stages.regions.touch_error import TouchErrorModel
-from deformscope.stages.regions.touches import MapGrid, StiffnessSample
+from deformscope.stages.regions.touches import MapGrid, StiffnessSample, TouchErrorModel
 
 FELT = StiffnessSample(np.array([0.1, 0.1]), log_stiffness=0.2, log_sd=0.03)
 RIGID = dataclasses.replace(FELT, rigid=True)

@@ -24,7 +24,7 @@ from deformscope.robot.description import arm_shape
 from deformscope.robot.placement import Placement
 from deformscope.robot.setup import CameraView, Setup
 from deformscope.robot.touch import STILL_S
-from deformscope.stages.regions.touch_error import GAIN_SD
+from deformscope.stages.regions.touches import GAIN_SD
 from deformscope_drivers.images import Intrinsics
 from deformscope_drivers.jaco.chains import J2N6S300
 from deformscope_drivers.pacing import STEERING, may_be_prompt

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from deformscope.stages.fit.distance import distances, nearest_error
+from deformscope.stages.fit.model import distances, nearest_error
 
 
 def test_distances_by_hand() -> None:

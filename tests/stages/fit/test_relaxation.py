@@ -5,8 +5,15 @@ import pytest
 
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.stages.fit.creep_spectra import Branches, Endless
-from deformscope.stages.fit.relaxation import RelaxationDraws, force_kept, kept_of, mean_relaxation_s, relaxing
-from deformscope.stages.fit.weighted_draws import DrawnModel, draw_about_each
+from deformscope.stages.fit.relaxation import (
+    DrawnModel,
+    RelaxationDraws,
+    draw_about_each,
+    force_kept,
+    kept_of,
+    mean_relaxation_s,
+    relaxing,
+)
 
 
 def draws_of(strength: FloatArray, retarded_s: FloatArray, endless: BoolArray, weight: FloatArray) -> RelaxationDraws:

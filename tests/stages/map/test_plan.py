@@ -27,8 +27,7 @@ from deformscope.stages.regions.hypotheses import RegionHypotheses, RelatedTouch
 from deformscope.stages.regions.levels import RegionPrior, readings_of
 from deformscope.stages.regions.partitions import draw
 from deformscope.stages.regions.posterior import RegionPosterior
-from deformscope.stages.regions.touch_error import TouchErrorModel
-from deformscope.stages.regions.touches import MapGrid, StiffnessSample
+from deformscope.stages.regions.touches import MapGrid, StiffnessSample, TouchErrorModel
 
 GRID = MapGrid(cell_m=0.01)
 KERNEL = FieldKernel()

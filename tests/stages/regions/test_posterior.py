@@ -14,8 +14,7 @@ from deformscope.stages.regions.levels import RegionPrior
 from deformscope.stages.regions.partitions import Family, draw
 from deformscope.stages.regions.posterior import RegionPosterior
 from deformscope.stages.regions.resampling import resampled
-from deformscope.stages.regions.touch_error import TouchErrorModel
-from deformscope.stages.regions.touches import MapGrid, StiffnessSample
+from deformscope.stages.regions.touches import MapGrid, StiffnessSample, TouchErrorModel
 from tests.cases import slow_but
 
 GRID = MapGrid(cell_m=0.01)

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import lognorm
 
 from deformscope.errors import InputError
-from deformscope.stages.regions.touch_error import LAW_SD, TouchErrorModel
+from deformscope.stages.regions.touches import LAW_SD, TouchErrorModel
 
 
 def test_the_scatters_that_are_summed_over_are_the_prior_s() -> None:

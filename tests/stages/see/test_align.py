@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from deformscope.arrays import FloatArray
 from deformscope.solid import Capsule, PosedSolid, Solid
-from deformscope.stages.see.align import ALIGNED_M, Alignment, align, as_seen
+from deformscope.stages.see.cloud import ALIGNED_M, Alignment, align, as_seen
 from deformscope.stages.see.robot import PosedRobot
 from deformscope_drivers.arm.kinematics import transform
 

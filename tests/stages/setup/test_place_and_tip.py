@@ -7,8 +7,8 @@ from scipy.stats import binom
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
+from deformscope.stages.setup.force import PIVOTED, pivot
 from deformscope.stages.setup.place import CORNERS, TOUCHED, place
-from deformscope.stages.setup.tip import PIVOTED, pivot
 from deformscope.stages.setup.transform import ErrorPrior, TransformEstimate, deviation, moved, rigid
 from tests.stages.setup.region import region_holds
 

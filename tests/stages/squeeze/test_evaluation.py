@@ -15,10 +15,8 @@ from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.squeeze.classifiers import NAMES
 from deformscope.stages.squeeze.evaluation import EvaluationOptions, evaluate
-from deformscope.stages.squeeze.intervals import difference
-from deformscope.stages.squeeze.scores import reliability_of, score_of, split_ratio
-from deformscope.stages.squeeze.splits import Split, draw
-from deformscope.stages.squeeze.table import LabelledTable
+from deformscope.stages.squeeze.scores import difference, reliability_of, score_of, split_ratio
+from deformscope.stages.squeeze.table import LabelledTable, Split, draw
 from deformscope.stages.squeeze.trial_run import Answers, run_split
 from tests.cases import slow
 from tests.stages.squeeze.trials import blobs, noise, two_modalities

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from deformscope.arrays import FloatArray, IntArray
-from deformscope.stages.squeeze import intervals
+from deformscope.stages.squeeze import scores as intervals
 
 
 def test_wilson_is_as_published() -> None:

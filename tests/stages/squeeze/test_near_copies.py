@@ -12,9 +12,9 @@ from deformscope.runs.classification import ClassificationResult, format_told
 from deformscope.runs.classifier_check import format_promise
 from deformscope.stages.squeeze.evaluation import Evaluation, EvaluationOptions, evaluate
 from deformscope.stages.squeeze.groupings import near_copies
-from deformscope.stages.squeeze.intervals import difference, over_splits
 from deformscope.stages.squeeze.model import ContentModel, fit_model
 from deformscope.stages.squeeze.model_check import check_model
+from deformscope.stages.squeeze.scores import difference, over_splits
 from deformscope.stages.squeeze.table import LabelledTable
 from studies.independent.labelled_rows import rows_of
 from tests.stages.squeeze.trials import blobs, noise, two_modalities

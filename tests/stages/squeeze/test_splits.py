@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deformscope.errors import InputError
-from deformscope.stages.squeeze.splits import PROTOCOLS, draw, splitting_notes
+from deformscope.stages.squeeze.table import PROTOCOLS, draw, splitting_notes
 from tests.stages.squeeze.trials import blobs
 
 

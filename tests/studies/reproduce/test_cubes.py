@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from deformscope.errors import InputError
-from deformscope.stages.fit.distance import distances
-from deformscope.stages.fit.model import Model, Observation
+from deformscope.stages.fit.model import Model, Observation, distances
 from studies.output import write_rows
 from studies.reproduce import cubes_figures
 from studies.reproduce.pressed_cubes import (

@@ -15,8 +15,7 @@ from deformscope.stages.map.field import FieldMap
 from deformscope.stages.map.plan import PlanOptions
 from deformscope.stages.map.surface import HeightProcess, fit_surface
 from deformscope.stages.regions.posterior import RegionPosterior
-from deformscope.stages.regions.touch_error import TouchErrorModel
-from deformscope.stages.regions.touches import MapGrid
+from deformscope.stages.regions.touches import MapGrid, TouchErrorModel
 from deformscope.stages.see.cloud import contact_radius_m
 from studies.reproduce import thesis_map
 from studies.reproduce.surface_robot import LabRobot
