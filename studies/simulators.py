@@ -29,6 +29,7 @@ from deformscope.lab.slab import RigidTip, Slab, press
 from deformscope.pictures.report import Table
 from deformscope.stages.msm.poke import Law, Tip
 from deformscope.stages.poke.fitted import FittedModel
+from deformscope.terminal import say
 from studies.runner import Study, StudyOptions, StudyReport, Trials
 
 CASES = (
@@ -46,7 +47,7 @@ HERE, ELSEWHERE = (0.07, 0.07), (0.073, 0.066)
 
 @dataclass(frozen=True, slots=True)
 class SlabCase:
-    """One slab, and how it is simulated."""
+    """One slab, and how it is simulated. limit_s: after which its fit ends with the best so far"""
 
     young: float
     poisson: float
@@ -54,6 +55,7 @@ class SlabCase:
     timestep_s: float | None
     python: str | None
     target: Target = "mujoco"
+    limit_s: float = 1800.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,11 +107,14 @@ def try_slab(case: SlabCase) -> SlabOutcome:
             python=case.python,
             vertices=case.vertices,
             timestep_s=case.timestep_s,
+            limit_s=case.limit_s,
         )
         told = found.to_dict()
         assert isinstance(told["pokes"], list)
         elsewhere = next(one for one in told["pokes"] if one["name"] == str(pairs[-1]))
-    return SlabOutcome(case, told, float(elsewhere["force_error"]))
+    outcome = SlabOutcome(case, told, float(elsewhere["force_error"]))
+    say(" | ".join(_row(outcome)))  # known before the other cases end
+    return outcome
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,23 +124,26 @@ class SimulatorsConfig(StudyOptions):
     target: Annotated[Target, arg(name="in")] = "mujoco"
     """The simulator."""
     cases: Annotated[int, flags.least(1)] = 12
-    """Slabs, each a minute or more for each setting."""
+    """Slabs, each a minute or more for each setting: the first so many, without --only."""
+    only: Annotated[tuple[int, ...], arg(metavar="INT...")] = ()
+    """Numbers of slabs, from 1 to 12, in place of --cases."""
     vertices: Annotated[tuple[int, ...], arg(metavar="INT...")] = (1500,)
     """About how many vertices the body has."""
     timestep_s: Annotated[tuple[float, ...], arg(metavar="SECONDS...")] = ()
     """Time steps; default: the simulator's."""
     python: Annotated[Path | None, flags.one_word("PYTHON", Path), flags.unset] = None
     """The interpreter with it; default: this one."""
+    limit_s: float = 1800.0
+    """Time limit of each fit [s], after which it ends with the best so far."""
     surprises: bool = False
     """Show too what one would not guess of the simulator."""
 
 
 def trials(options: SimulatorsConfig) -> list[Trials[SlabCase, SlabOutcome]]:
+    python = None if options.python is None else str(options.python)
     cases = [
-        SlabCase(
-            young, poisson, vertices, step, None if options.python is None else str(options.python), options.target
-        )
-        for young, poisson in CASES[: options.cases]
+        SlabCase(young, poisson, vertices, step, python, options.target, options.limit_s)
+        for young, poisson in ([CASES[number - 1] for number in options.only] or CASES[: options.cases])
         for vertices in options.vertices
         for step in options.timestep_s or (None,)
     ]
@@ -145,7 +153,16 @@ def trials(options: SimulatorsConfig) -> list[Trials[SlabCase, SlabOutcome]]:
 def report(options: SimulatorsConfig, seconds: float, outcomes: Sequence[SlabOutcome]) -> StudyReport:
     names = (
         *("E [kPa]", "nu", "vertices", "step [ms]", "E needed [kPa]", "nu fitted", "determined", "force typed in"),
-        *("force fitted", "unseen depth", "elsewhere", "dent of the depth", "off the edge", "ms a step", "s"),
+        *(
+            "force fitted",
+            "unseen depth",
+            "elsewhere",
+            "dent of the depth",
+            "off the edge",
+            "ms a step",
+            "s",
+            "converged",
+        ),
     )
     rows = [_row(one) for one in outcomes]
     version = outcomes[0].found["version"] if outcomes else ""
@@ -191,6 +208,7 @@ def _row(one: SlabOutcome) -> tuple[str, ...]:
         f"{_rms([one['dent_error_beyond_edge'] for one in here]):.0%}",
         f"{1e3 * float(str(found['seconds_per_step'])):.0f}",
         f"{float(str(found['seconds'])):.0f}",
+        "yes" if found["converged"] else "no",
     )
 
 

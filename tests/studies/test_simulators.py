@@ -16,6 +16,8 @@ def test_a_line_of_each_slab_and_setting() -> None:
     assert [(one.young, one.vertices) for one in slabs.cases] == [
         (young, vertices) for young, _ in CASES[:2] for vertices in (500, 1000)
     ]
+    (slabs,) = trials(SimulatorsConfig(only=(12, 3)))
+    assert [(one.young, one.poisson) for one in slabs.cases] == [CASES[11], CASES[2]]
     poke = {"force_error": 0.03, "force_error_before": 0.5, "dent_error": 0.2, "held_out": False}
     poke |= {"dent_error_beyond_edge": 0.1}
     found = {
@@ -24,11 +26,13 @@ def test_a_line_of_each_slab_and_setting() -> None:
         "needed": {"young_pa": 3e4, "poisson": 0.3},
         "seconds": 60.0,
         "timestep_s": 0.005,
+        "converged": False,
     }
     found |= {"determined": {"young": True, "poisson": False, "contact": False}, "seconds_per_step": 0.03}
     found |= {"pokes": [poke, poke | {"held_out": True, "force_error": -0.01}, poke, poke]}
     (table,) = report(options, 1.0, [SlabOutcome(slabs.cases[0], found, 0.12)]).tables
     assert len(table.names) == len(table.rows[0])
+    assert table.rows[0][-1] == "no"
     assert table.rows[0][4:13] == ("30", "0.30", "young", "+50%", "3.0%", "1.0%", "+12%", "20%", "10%")
 
 
