@@ -35,7 +35,7 @@ from deformscope.stages.fit.model import (
     nearest_error,
     unexplained,
 )
-from deformscope.stages.fit.outliers import LeftOut, left_out_json, without_outliers
+from deformscope.stages.fit.outliers import LeftOut, without_outliers
 from deformscope.stages.fit.prescribed_offset import HELD_GAIN, correct_held, held_off
 from deformscope.stages.fit.search import Progress, Search
 from deformscope.stages.fit.shared_errors import for_posterior, together
@@ -117,8 +117,11 @@ def calibrate(
     the observations by time stepping, in order, instead of each as a static state
     settings: recorded with the estimate; progress: called with (what, done, all)"""
     model, bounds = options.model, options.bounds
-    check_observations(seen)
-    check_range(model.parameter, bounds)
+    if len({(s.unit, s.metres_per_unit) for s in seen}) != 1:
+        raise InputError("observations in one unit", "pixels and metres mixed, or several scales", "fit them apart")
+    highest = BETA_LIMIT if model.parameter == "beta" else 1.0
+    if not 0.0 <= bounds[0] < bounds[1] <= highest:
+        raise InputError(f"a range that rises within 0 to {highest:g}", f"{bounds[0]:g} to {bounds[1]:g}")
     if options.candidates < 3:
         raise InputError("at least 3 candidates", str(options.candidates))
     fit = Search(seen, model, bounds) if pace is None else MovingSearch(seen, model, bounds, pace)
@@ -138,7 +141,8 @@ def calibrate(
             fit, off, either = _put_held_right(fit, options)
         left_out = tuple(replace(one, held=which) for one, which in zip(left_out, off, strict=True))
     seen = fit.seen
-    used |= left_out_json(left_out)
+    if any(one.count for one in left_out):
+        used["left_out"] = [one.as_json() for one in left_out]
     judged: Search = fit
     if one_motion:
         found = together(fit, options.seed)
@@ -238,19 +242,6 @@ def _settings(seen: Sequence[Observation], options: FitOptions) -> dict[str, obj
         **at,
         **({"found": options.found} if options.found else {}),
     }
-
-
-def check_observations(seen: Sequence[Observation]) -> None:
-    """Refuses observations that cannot be fitted together."""
-    if len({(s.unit, s.metres_per_unit) for s in seen}) != 1:
-        raise InputError("observations in one unit", "pixels and metres mixed, or several scales", "fit them apart")
-
-
-def check_range(parameter: Parameter, bounds: tuple[float, float]) -> None:
-    """Refuses a range that cannot be searched."""
-    highest = BETA_LIMIT if parameter == "beta" else 1.0
-    if not 0.0 <= bounds[0] < bounds[1] <= highest:
-        raise InputError(f"a range that rises within 0 to {highest:g}", f"{bounds[0]:g} to {bounds[1]:g}")
 
 
 def estimate_of(

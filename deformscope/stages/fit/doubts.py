@@ -250,7 +250,8 @@ def implausible_lengths(seen: Sequence[Observation]) -> Iterator[Doubt]:
         yield Doubt("units", f"positions are taken as metres, so this body is {size:.3g} m large; are they?")
     for one in seen:
         known = known_of(one)
-        factor = rescaled(one.rest[known], one.deformed[known])
+        before, after = (np.linalg.norm(x - x.mean(axis=0)) for x in (one.rest[known], one.deformed[known]))
+        factor = float(after / before)
         if not 1.0 / RESCALED < factor < RESCALED:
             text = f"the deformed shape is {factor:.3g} times as large as the rest shape: two units?"
             yield Doubt("units", text, "unidentified")
@@ -262,12 +263,6 @@ def known_of(seen: Observation) -> BoolArray:
     known = seen.observed.copy()
     known[seen.held] = True
     return known
-
-
-def rescaled(rest: FloatArray, deformed: FloatArray) -> float:
-    """Size of deformed (n, d) over that of rest (n, d), as root mean square distance from the middle."""
-    spread = [float(np.sqrt(np.mean(np.sum((x - x.mean(axis=0)) ** 2, axis=1)))) for x in (rest, deformed)]
-    return spread[1] / spread[0]
 
 
 # Axes ----------------------------------------------------------------------------------------------------------------

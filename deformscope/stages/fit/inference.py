@@ -91,7 +91,8 @@ class Inference:
         if area <= 0.0:  # a single value is left
             density, area = np.ones_like(density), float(grid[-1] - grid[0]) or 1.0
         explanations = tuple(part.explanation for part in self.parts)
-        noise = white_noise(explanations, self.parts)
+        white = [(e.weight @ e.white**2) * p.errors.noise**2 for e, p in zip(explanations, self.parts, strict=True)]
+        noise = float(np.sqrt(np.mean(np.concatenate(white))))
         return Inferred(Posterior(grid, density / area), explanations, noise, rise, self.converged)
 
     def _narrowed(
@@ -201,12 +202,6 @@ def misfit_outweighs(parts: Sequence[Residuals]) -> bool:
         misfit += float(one.likely @ np.where(one.shared & shared, 0.0, one.field**2))
         white += float(one.likely @ one.white**2) * noise
     return misfit > white
-
-
-def white_noise(explanations: Sequence[Explanation], parts: Sequence[Residuals]) -> float:
-    """Typical white noise of a coordinate [unit]."""
-    every = [(e.weight @ e.white**2) * p.errors.noise**2 for e, p in zip(explanations, parts, strict=True)]
-    return float(np.sqrt(np.mean(np.concatenate(every))))
 
 
 def _shares(nodes: FloatArray, at: FloatArray) -> FloatArray:

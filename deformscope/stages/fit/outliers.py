@@ -68,11 +68,6 @@ class LeftOut:
         return {"lost": self.lost.tolist(), "wrong": self.wrong.tolist(), **held}
 
 
-def left_out_json(left_out: Sequence[LeftOut]) -> dict[str, object]:
-    """Settings of a fit about particles that were left out; empty without any."""
-    return {"left_out": [one.as_json() for one in left_out]} if any(one.count for one in left_out) else {}
-
-
 Fitted = Callable[[Sequence[Observation]], Sequence[FloatArray]]
 """Computes positions (K, d) of each given observation at the lowest error."""
 

@@ -51,14 +51,14 @@ class DrawnModel:
         all in one pass (Levenberg 1944, Marquardt 1963)."""
         best, holds = self.mean, np.diag(1.0 / self.spread**2)
         off, moved = self.linear(best)
-        least, damping = self._half(best, self.mean, off), np.full(len(best), DAMPING)
+        least, damping = self.half(best, self.mean, off), np.full(len(best), DAMPING)
         for _ in range(ROUNDS):
             curved = moved @ moved.transpose(0, 2, 1) + holds
             slope = (moved @ off[..., None])[..., 0] + (best - self.mean) / self.spread**2
             damped = curved + damping[:, None, None] * np.eye(len(holds)) * curved
             tried = best - np.linalg.solve(damped, slope[..., None])[..., 0]
             new_off, new_moved = self.linear(tried)
-            half = self._half(tried, self.mean, new_off)
+            half = self.half(tried, self.mean, new_off)
             better = half < least
             done = bool((np.abs(half - least) < SETTLED).all())
             least = np.where(better, half, least)
@@ -74,16 +74,13 @@ class DrawnModel:
         best, least, _ = self.minima()
         return best[[int(np.argmin(least))]]
 
-    def half_squares(self, drawn: FloatArray, choice: IntArray) -> FloatArray:
-        """(d,) half the squares of parameters (d, k), each with the priors of its choice."""
-        return self._half(drawn, self.mean[choice], self.residuals(drawn))
-
     def log_size(self) -> float:
         """Logarithm of the divisor of each choice's density."""
         known = self.spread[np.isfinite(self.spread)]
         return float(np.log(np.sqrt(2.0 * np.pi) * known).sum() - np.log(self.prior / len(self.mean)))
 
-    def _half(self, at: FloatArray, mean: FloatArray, off: FloatArray) -> FloatArray:
+    def half(self, at: FloatArray, mean: FloatArray, off: FloatArray) -> FloatArray:
+        """(d,) half the squares of parameters (d, k) about their priors (d, k), and of residuals (d, m)."""
         return np.asarray(0.5 * ((off**2).sum(axis=1) + (((at - mean) / self.spread) ** 2).sum(axis=1)))
 
 
@@ -113,7 +110,7 @@ def draw_about_each(models: Sequence[DrawnModel], random: np.random.Generator) -
         log_density = scipy.stats.t.logpdf(apart, FREEDOM).sum(axis=1)
         log_proposal = log_density + log[choice] + log_part[choice]
         drawn.append(some)
-        log_weight.append(-one.half_squares(some, choice) - one.log_size() - log_proposal)
+        log_weight.append(-one.half(some, one.mean[choice], one.residuals(some)) - one.log_size() - log_proposal)
     every = np.concatenate(log_weight)
     every -= scipy.special.logsumexp(every) - np.log(len(every))
     weight = np.exp(np.minimum(every, 0.5 * np.log(len(every))))  # truncated (Ionides 2008)

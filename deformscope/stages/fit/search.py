@@ -87,7 +87,9 @@ class Search:
                 continue
             every = np.tile(parameter, len(rows))
             state = self.relax(body, np.repeat(np.stack(held), len(parameter), axis=0), every, begin, progress)
-            found |= {row: part_of(state, index, len(parameter)) for index, row in enumerate(rows)}
+            names = [f.name for f in dataclasses.fields(Relaxed)]
+            parts = zip(*(np.split(getattr(state, name), len(rows)) for name in names), strict=True)
+            found |= {row: Relaxed(*part) for row, part in zip(rows, parts, strict=True)}
         return [found[row] for row in range(len(self.seen))]
 
     def only(self, rows: IntArray, weight: FloatArray) -> "Search":
@@ -251,9 +253,3 @@ def beta_of(stretched: FloatArray, bounds: tuple[float, float]) -> FloatArray:
     low, high = bounds
     inner = np.where(stretched <= -np.log1p(-low), low, np.clip(-np.expm1(-stretched), low, high))
     return np.asarray(np.where(stretched >= -np.log1p(-high), high, inner))
-
-
-def part_of(state: Relaxed, index: int, count: int) -> Relaxed:
-    """The `index`-th part of states that ran together, `count` in each."""
-    some = slice(index * count, (index + 1) * count)
-    return Relaxed(**{f.name: getattr(state, f.name)[some] for f in dataclasses.fields(Relaxed)})

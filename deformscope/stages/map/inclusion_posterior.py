@@ -204,7 +204,7 @@ class FoundInclusion:
 
     centre_m: (2,) its middle; within_m: distance from it within which it lies in 90 %; radius_m, radius_interval_m: its
     radius and the 90 % interval [m]; stiff: it is stiffer than the foam, not softer; probability: probability that
-    there is one; deep: probability that it is deep (DEEP_M); log_shift: its effect on log stiffness right above it
+    there is one; deep: probability that it is deep (DEEP_M)
     posterior: (j,) probability of each hypothesis"""
 
     centre_m: FloatArray
@@ -214,7 +214,6 @@ class FoundInclusion:
     stiff: bool
     probability: float
     deep: float
-    log_shift: float
     posterior: FloatArray
 
     @property
@@ -296,6 +295,7 @@ class InclusionState:
         """shifts: effect on the touches"""
         self.left, self.open = left, open_
         self._hypotheses = hypotheses
+        sure = FOOTPRINT_DOUBT**-2
         none, one = np.zeros(len(BACKGROUNDS)), np.zeros((len(BACKGROUNDS), len(hypotheses)))
         bare, effects = left.exponents_whitened(shifts.exponent)
         bent, bent_own = bare @ effects, (effects**2).sum(axis=0)
@@ -310,7 +310,9 @@ class InclusionState:
             weight = 1.0 / (1.0 + np.outer([BACKGROUNDS[b].scatter ** 2 for b in some], np.maximum(spread, 0.0)))
             bare, effects = whitened[:, 0], whitened[:, 1:]
             none[some] = 0.5 * (np.log(weight).sum(axis=1) - weight @ bare**2) - constant
-            one[some] = _doubted((weight * bare) @ effects + bent, weight @ effects**2 + bent_own)
+            # the factor of an inclusion's effect has the standard deviation FOOTPRINT_DOUBT about 1
+            with_read, own = (weight * bare) @ effects + bent, weight @ effects**2 + bent_own
+            one[some] = 0.5 * ((with_read + sure) ** 2 / (own + sure) - sure - np.log1p(own / sure))
         self.odds_log = logsumexp(one + none[:, None], axis=0) - logsumexp(none)
         weight = np.where(open_, hypotheses.weight, 0.0)
         self.posterior, log_odds = _normalised(weight, self.odds_log)
@@ -407,7 +409,6 @@ class InclusionPosterior:
         order = np.argsort(away, kind="stable")
         within_m = float(away[order][np.searchsorted(np.cumsum(weight[order]), 0.9)])
         shares = np.array([weight[hypotheses.radius_m == one].sum() for one in self.radii_m])
-        above = hypotheses.shifts(centre[None], self.contact_m).log[0]
         return FoundInclusion(
             centre_m=centre,
             within_m=max(within_m, 0.5 * CENTRE_CELL_M),
@@ -416,7 +417,6 @@ class InclusionPosterior:
             stiff=bool(weight[hypotheses.share > 0.0].sum() > 0.5),
             probability=state.exists,
             deep=float(weight[hypotheses.depth_m > DEEP_M].sum()),
-            log_shift=float(weight @ above),
             posterior=weight,
         )
 
@@ -544,14 +544,6 @@ class InclusionPosterior:
         weights = cho_solve(cho_factor(mixed), across.T).T
         spare = scatter2 + LEVEL_SD**2 - (weights * across).sum(axis=1)
         return weights, np.maximum(spare, LEAST_SD**2)
-
-
-def _doubted(with_read: FloatArray, own: FloatArray) -> FloatArray:
-    """(s, j) log likelihood ratio of inclusions to none. The factor of an inclusion's effect has the standard deviation
-    FOOTPRINT_DOUBT about 1. with_read, own: (s, j) products of their effects with the readings and with themselves, in
-    standard deviations"""
-    sure = FOOTPRINT_DOUBT**-2
-    return np.asarray(0.5 * ((with_read + sure) ** 2 / (own + sure) - sure - np.log1p(own / sure)))
 
 
 def _normalised(weight: FloatArray, log: FloatArray) -> tuple[FloatArray, float]:

@@ -198,7 +198,8 @@ def plan_touch(
         limit = detection_limit(posterior, planned.made_m, {*INCLUSION_RADII_M, options.inclusion_m})
     stop = planned.ended(options)
     if stop is None:
-        variance = _variance(kernel, touched, places[allowed]) / kernel.sd**2
+        explained = (_explained(kernel, touched, places[allowed]) ** 2).sum(axis=0)  # of the field's (Thesis eq. 4.4)
+        variance = (kernel.sd**2 - explained) / kernel.sd**2
         stop = _enough(posterior, options, gain, unit, variance, limit)
 
     def why(best: int) -> str:
@@ -282,11 +283,6 @@ def exclusions(
         column, row = np.minimum((places / cells.cell_m).astype(int), last).T
         excluded[~reachable[row, column]] = OUT_OF_REACH
     return excluded
-
-
-def _variance(kernel: FieldKernel, touched: FloatArray, places: FloatArray) -> FloatArray:
-    """(p,) of the field after the touches (Thesis eq. 4.4)."""
-    return cast(FloatArray, kernel.sd**2 - (_explained(kernel, touched, places) ** 2).sum(axis=0))
 
 
 def _explained(kernel: FieldKernel, touched: FloatArray, places: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ the cost of a border of that length. It also decides whether places differ. The 
 is stiffer along a direction, and one that was observed with a smooth error. An interval includes every description that
 the data do not rule out, so that a place without information retains its prior."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
@@ -203,8 +203,7 @@ def fit_field(
     motion = float(np.sum(fit.target**2))
     left = float(np.sum((fit.target - chosen.point.state.moved.ravel()[fit.rows]) ** 2))
     explained = 1.0 - left / motion if motion > fit.size**2 * EXPLAINABLE else 0.0
-    reasons = [*not_converged(chosen.point.converged), *_large_strain(fit)]
-    reasons += [*_part_of_a_face(fit), *_smooth_error(chosen, differ)]
+    reasons = [*not_converged(chosen.point.converged), *_doubts(fit, chosen, differ)]
     reasons += little_explained(explained, left_is_noise=chosen.misfit < 2.0, seen=[seen])
     verdicts = tuple(limited(one, reasons) for one in place_verdicts(np.exp(interval)))
     kind: FieldKind = "gradual" if chosen.label[0] < 0 else "materials" if chosen.label.max() > 0 else "uniform"
@@ -488,34 +487,26 @@ def _absolute(
     return np.exp(value + scale), np.exp(value[:, None] + reach + scale)
 
 
-def _part_of_a_face(fit: FieldFit) -> list[Doubt]:
-    if len(fit.held) == len(fit.seen.held):
-        return []
-    text = (
-        "a tool presses a part of a face: cells blur the strain around it, and neighbours below it strain "
-        "alike; hold and move whole faces (stretch or shear it)"
-    )
-    return [Doubt("setting", text, "unidentified")]
-
-
-def _smooth_error(chosen: Description, differ: bool) -> list[Doubt]:
-    """differ: places that differ explain the observation, too"""
-    if chosen.fit.rival != "smooth error":
-        return []
-    text = (
-        "one material explains it if the observation has a smooth error (a scale or a drift that differs "
-        "between the two states, a lens); make sure that camera and body are at rest, or measure it with "
-        "nothing moved"
-    )
-    return [Doubt("smooth-error", text, "unidentified" if differ else "weak")]
-
-
-def _large_strain(fit: FieldFit) -> list[Doubt]:
+def _doubts(fit: FieldFit, chosen: Description, differ: bool) -> Iterator[Doubt]:
+    """Large strain, a setting that hides places, and an error that resembles them. differ: places that differ explain
+    the observation, too"""
     sides = [fit.cells[:, [one, other]] for one, other in pairwise(range(fit.cells.shape[1]))]
     seen: BoolArray = fit.seen.observed
     changes = [np.diff(fit.displacement[some], axis=1)[:, 0] for some in sides if seen[some].any()]
     large = float(np.quantile(np.linalg.norm(np.concatenate(changes), axis=1), 0.95))
-    if large <= STRAIN_MOST:
-        return []
-    text = f"sides of cells change by {large:.0%}: the field is that of small deformations; deform it less"
-    return [Doubt("large-strain", text, "weak")]
+    if large > STRAIN_MOST:
+        text = f"sides of cells change by {large:.0%}: the field is that of small deformations; deform it less"
+        yield Doubt("large-strain", text, "weak")
+    if len(fit.held) != len(fit.seen.held):
+        text = (
+            "a tool presses a part of a face: cells blur the strain around it, and neighbours below it strain "
+            "alike; hold and move whole faces (stretch or shear it)"
+        )
+        yield Doubt("setting", text, "unidentified")
+    if chosen.fit.rival == "smooth error":
+        text = (
+            "one material explains it if the observation has a smooth error (a scale or a drift that differs "
+            "between the two states, a lens); make sure that camera and body are at rest, or measure it with "
+            "nothing moved"
+        )
+        yield Doubt("smooth-error", text, "unidentified" if differ else "weak")

@@ -199,11 +199,7 @@ class _Body:
         self._touching: BoolArray = np.array(touching)
         row, column, weight = zip(*weights, strict=True)
         self._of_held = csr_matrix((weight, (row, column)), shape=(len(fixed), len(rows)))
-        self._free: IntArray = np.setdiff1d(np.arange(2 * len(used)), self._dofs(self.fixed))
-
-    @staticmethod
-    def _dofs(nodes: IntArray) -> IntArray:
-        return (2 * nodes[:, None] + np.arange(2)).ravel()
+        self._free: IntArray = np.setdiff1d(np.arange(2 * len(used)), (2 * self.fixed[:, None] + np.arange(2)).ravel())
 
     def _between(self, place: FloatArray) -> dict[int, float]:
         """Weights of the measured particles that prescribe a place (row, column) of the lattice; none where it is free.
@@ -283,7 +279,8 @@ class _Body:
     def _forces(self, moved: FloatArray, ratio: float) -> tuple[FloatArray, csr_matrix]:
         """Forces (2 n,) of the nodes on the material for a modulus of 1 and a thickness of 1, and their slopes."""
         gradient = self._gradient(moved)
-        turned, lame, shear = np.swapaxes(np.linalg.inv(gradient), 2, 3), *lame_of(ratio)
+        turned = np.swapaxes(np.linalg.inv(gradient), 2, 3)
+        lame, shear = ratio / ((1.0 + ratio) * (1.0 - 2.0 * ratio)), 0.5 / (1.0 + ratio)  # of a modulus of 1
         a, b = _law(np.linalg.det(gradient), lame, shear, self._plane)
         stress = shear * gradient - a[..., None, None] * turned
         force = np.zeros_like(self._rest)
@@ -334,11 +331,6 @@ def _contact_line(seen: Observation, rows: IntArray, columns: IntArray, toward: 
     line = (across == across[innermost[0]]) & (along >= first) & (along <= last) & seen.free_observed
     line[touched] = True
     return np.asarray(line)
-
-
-def lame_of(ratio: float) -> tuple[float, float]:
-    """Lame's first constant and the shear modulus, of a modulus of 1."""
-    return ratio / ((1.0 + ratio) * (1.0 - 2.0 * ratio)), 0.5 / (1.0 + ratio)
 
 
 def _law(volume: FloatArray, lame: float, shear: float, plane: Plane) -> tuple[FloatArray, FloatArray]:

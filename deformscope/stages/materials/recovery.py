@@ -184,7 +184,11 @@ def fit_recovery(
     verdict = _verdict(share, kept, weight)
     mean_time = draws.time(judged, level)
     if not seen.reasons and verdict not in ("elastic", "plastic") and mean_time[1][1] > record_s:
-        seen = dataclasses.replace(seen, reasons=(_alike(mean_time, watched_s),))
+        text = (
+            f"the recovery takes {mean_time[0]:.2g} s (up to {mean_time[1][1]:.2g} s), and {watched_s:.2g} s were "
+            "recorded after the release: a slow recovery and a permanent set look alike; record longer"
+        )
+        seen = dataclasses.replace(seen, reasons=(Doubt("short-record", text),))
     some = draws.some(random, FORCE_DRAWS)
     relaxed = _per_unit(stiffness * (1.0 - share), weight, largest, level)
     if seen.reasons or seen.open:
@@ -217,16 +221,6 @@ def fit_recovery(
         simulated=simulated,
         settings={"seed": seed, "frames": len(time_s), "with_force": force_n is not None, "noise": law.sd},
     )
-
-
-def _alike(mean_time: tuple[float, tuple[float, float]], watched_s: float) -> Doubt:
-    """That a recovery may be slower than was watched. mean_time: median and interval [s]"""
-    middle, (_, slowest) = mean_time
-    text = (
-        f"the recovery takes {middle:.2g} s (up to {slowest:.2g} s), and {watched_s:.2g} s were recorded "
-        "after the release: a slow recovery and a permanent set look alike; record longer"
-    )
-    return Doubt("short-record", text)
 
 
 def _per_unit(stiffness: FloatArray, weight: FloatArray, largest: float, level: float) -> Number:

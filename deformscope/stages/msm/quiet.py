@@ -4,7 +4,6 @@ import os
 import sys
 import tempfile
 import threading
-from types import ModuleType
 
 GREETING = b"Warp CUDA warning"
 """Begin of the line of its warning of a missing GPU driver, below Python: that is no fault here."""
@@ -19,12 +18,9 @@ def quiet_warp() -> None:
 
     wp.config.log_level = wp.LOG_WARNING
     with _one_at_a_time:
-        if not _started:
-            _start(wp)
-            _started = True
-
-
-def _start(wp: ModuleType) -> None:
+        if _started:
+            return
+        _started = True
     with tempfile.TemporaryFile() as meanwhile:
         sys.stderr.flush()
         kept = os.dup(2)

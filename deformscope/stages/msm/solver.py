@@ -357,7 +357,7 @@ class Msm:
             u[:, self.held] = held_u[some] if len(held_u) > 1 else held_u
             method = self._method(*self._kind(theta_b[some], count, volume))
             method.set(beta_b[some], theta_b[some])
-            note = None if progress is None else functools.partial(_offset, progress, first, size)
+            note = None if progress is None else lambda done, before=first: progress(before + done, size)
             ended = method.relax(u, share * self.extent / self.scale, most, note, until)
             parts.append(self._relaxed(method.layout.get(method.u, self.dim), ended))
         found = Relaxed(*(np.concatenate([getattr(part, name) for part in parts]) for name in Relaxed.__slots__))
@@ -697,7 +697,3 @@ def pick_device(choice: Literal["auto", "cpu", "cuda"]) -> str:
     if not wp.is_cuda_available():
         raise InputError("a CUDA device", "none that warp can use on this machine", "--device cpu")
     return "cuda:0"
-
-
-def _offset(progress: Callable[[int, int], None], before: int, size: int, done: int) -> None:
-    progress(before + done, size)

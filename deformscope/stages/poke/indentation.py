@@ -456,7 +456,9 @@ def fit_indentation(curve: IndentCurve, sample: IndentSample, *, creep: bool = T
     if far := poke.far():
         time_s = None if poke.time_s is None else poke.time_s[far:]
         poke = SplitCurve(IndentCurve(poke.given_m[far:], poke.force_n[far:], time_s, curve.name), sample)
-    _check_depth(sample, poke.travel_m, curve.name)
+    if poke.travel_m > (most_m := min(MOST_DEPTH_M, sample.thickness_m or np.inf)):
+        expected, hint = f"dents of less than {1e3 * most_m:.4g} mm", "the unit of depth (--depth-column NAME=mm)"
+        raise InputError(expected, f"{1e3 * poke.travel_m:.4g} mm", hint, curve.name)
     upto, exponent_sd, reasons = poke.within_law()
     reasons += poke.reasons()
     low, high = sample.poisson
@@ -467,7 +469,10 @@ def fit_indentation(curve: IndentCurve, sample: IndentSample, *, creep: bool = T
     fit, law, middle = fits[len(fits) // 2], laws[len(fits) // 2], 1.0 - (0.5 * (low + high)) ** 2
     dent_m, contact_m = poke.dent_m(fit), fit.contact_m * poke.scale[0]
     radius_m = sample.tip.contact_radius_m(dent_m)
-    _check_sides(sample, radius_m, curve.name)
+    if sample.width_m is not None and (lacks := sample.free_sides(radius_m)) > FREE_SIDES:
+        expected = f"sides far from the contact, which is {2e3 * radius_m:.3g} mm wide"
+        came = f"a sample {1e3 * sample.width_m:.4g} mm wide, which lacks up to {min(lacks, 1.0):.0%} of the force"
+        raise InputError(expected, came, "a smaller tip, or a shallower dent", curve.name)
     if bend := poke.bend(fit, law):
         text = f"at twice {1e3 * dent_m:.3g} mm the force is {np.exp(bend):.2g} times the law's: the sample stiffens"
         reasons.append(Doubt("large-strain", text, "weak"))
@@ -576,20 +581,6 @@ def _checked(curve: IndentCurve) -> tuple[FloatArray, FloatArray, FloatArray | N
         came, hint = "one that falls as the force rises", "a minus before the column (--depth-column=-NAME)"
         raise InputError("a depth that grows into the sample", came, hint, curve.name)
     return depth_m, force_n, None if time_s is None else time_s[good]
-
-
-def _check_depth(sample: IndentSample, dent_m: float, name: str) -> None:
-    most_m = min(MOST_DEPTH_M, sample.thickness_m or np.inf)
-    if dent_m > most_m:
-        expected, hint = f"dents of less than {1e3 * most_m:.4g} mm", "the unit of depth (--depth-column NAME=mm)"
-        raise InputError(expected, f"{1e3 * dent_m:.4g} mm", hint, name)
-
-
-def _check_sides(sample: IndentSample, radius_m: float, name: str) -> None:
-    if sample.width_m is not None and (lacks := sample.free_sides(radius_m)) > FREE_SIDES:
-        expected = f"sides far from the contact, which is {2e3 * radius_m:.3g} mm wide"
-        came = f"a sample {1e3 * sample.width_m:.4g} mm wide, which lacks up to {min(lacks, 1.0):.0%} of the force"
-        raise InputError(expected, came, "a smaller tip, or a shallower dent", name)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

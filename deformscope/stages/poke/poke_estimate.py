@@ -107,7 +107,10 @@ class PokesResult:
                     half_space(poke.tip, poke.depth, poke.force).modulus,
                     continuum(self.fit.best.law, k_here, self.fit.spacing)[0],
                 )
-            errors = (_known(each.get(index)) for each in (left_out, error, held_out))
+            errors = (
+                None if one is None or not np.isfinite(one) else one
+                for one in (each.get(index) for each in (left_out, error, held_out))
+            )
             xy_m = float(poke.at[0]), float(poke.at[1])
             rows.append(PokeRow(xy_m, poke.tip, poke.depth, poke.force, k_here, modulus, *errors))
         return rows
@@ -125,10 +128,6 @@ class PokesResult:
             }
             for one in self.fit.tried
         ]
-
-
-def _known(value: float | None) -> float | None:
-    return value if value is not None and np.isfinite(value) else None
 
 
 def continuum(law: Law, stiffness: float, spacing: float) -> tuple[float, float]:

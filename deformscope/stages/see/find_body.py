@@ -686,7 +686,8 @@ def _contact(
     if not seen.any():
         return None, None, None, 0.0
     most = np.flatnonzero(moved[seen] > 0.85 * np.quantile(moved[seen], 0.9))
-    run = columns[seen][_longest(most)]
+    # the longest run, with gaps of a few at most
+    run = columns[seen][max(np.split(most, np.flatnonzero(np.diff(most) > 2 * EDGE_PX) + 1), key=len)]
     run = np.arange(run[0], run[-1] + 1)
     if not len(pressed):
         if len(run) > 0.75 * len(columns):
@@ -698,11 +699,6 @@ def _contact(
     under = np.arange(under.min(), under.max() + 1)
     overlap = len(np.intersect1d(under, run)) / len(np.union1d(under, run))
     return _footprint(side, region, under), side, None, overlap
-
-
-def _longest(numbers: Any) -> Any:
-    """The longest run of rising numbers, with gaps of a few at most."""
-    return max(np.split(numbers, np.flatnonzero(np.diff(numbers) > 2 * EDGE_PX) + 1), key=len)
 
 
 def _footprint(side: str, region: BoolArray, columns: Any) -> Rect:

@@ -91,14 +91,11 @@ def clusters(table: LabelledTable, seed: int) -> Mapping[str, Grouping]:
         runs = [KMeans(wanted, n_init=1, random_state=seed * RUNS + run).fit(points) for run in range(RUNS)]
         rand = np.array([adjusted_rand_score(table.target[rows], run.labels_) for run in runs])
         tightest = min(runs, key=lambda run: float(run.inertia_))
-        plane, centre = (_two(one) for one in (points, tightest.cluster_centers_))
+        # a column of zeros where there is one alone
+        pad = ((0, 0), (0, max(0, 2 - points.shape[1])))
+        plane, centre = (np.pad(one, pad)[:, :2] for one in (points, tightest.cluster_centers_))
         found[name] = Grouping(rand, plane, rows, tightest.labels_, centre, variance[:2] / variance.sum())
     return found
-
-
-def _two(points: FloatArray) -> FloatArray:
-    """(n, 2) first two columns of points (n, d), a column of zeros where there is one alone."""
-    return np.pad(points, ((0, 0), (0, max(0, 2 - points.shape[1]))))[:, :2]
 
 
 def normality(table: LabelledTable) -> Mapping[str, Normality]:
