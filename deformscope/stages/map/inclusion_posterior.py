@@ -528,7 +528,6 @@ class InclusionPosterior:
             field=field_log.reshape(shape),
             field_sd=np.sqrt(variance + self.prior.error.gain_sd**2).reshape(shape),
             wrong_share=float(1.0 - sure.mean()),
-            boundary_sd_m=np.nan,
             scatter=self.scatter,
         )
 

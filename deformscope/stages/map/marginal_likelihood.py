@@ -188,9 +188,6 @@ class Observations:
     noise: FloatArray
 
 
-NAMES = ("sigma_e", "length", "noise_scale")
-
-
 def learn(free: Observations, known: Observations, start: Hyperparameters | None) -> Hyperparameters:
     """The likeliest hyper-parameters. free: points whose noise is known up to one factor (1 without such points);
     known: points whose noise is known; start: estimates from nearly the same points; None: a few lengths are tried
@@ -236,18 +233,9 @@ class _Search:
             for_good = (at <= low + NEAR_BOUND) | (at >= high - NEAR_BOUND)
             if not (stopped & ~for_good).any():
                 break
-        bound = [
-            name
-            for name, x, a, b in zip(NAMES, at, low, high, strict=True)
-            if a < b and (x <= a + NEAR_BOUND or x >= b - NEAR_BOUND)
-        ]
         sigma_e, length, scale = (float(x) for x in np.exp(at))
         return Hyperparameters(
-            kernel=Kernel.of_length(sigma_e, length),
-            noise_scale=scale,
-            log_likelihood=value,
-            at_bound=tuple(bound),
-            trials=self.trials,
+            kernel=Kernel.of_length(sigma_e, length), noise_scale=scale, log_likelihood=value, trials=self.trials
         )
 
     def _first(self) -> FloatArray:

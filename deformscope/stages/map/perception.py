@@ -15,13 +15,11 @@ from deformscope.stages.see.pixel_labels import PixelMasks
 @dataclass(frozen=True, slots=True)
 class Hyperparameters:
     """kernel; noise_scale: factor of the free points' noise; log_likelihood: marginal log likelihood of all points
-    at_bound: those of "sigma_e", "length", "noise_scale" that ended at a bound of the search
     trials: how often the likelihood was computed"""
 
     kernel: Kernel
     noise_scale: float
     log_likelihood: float
-    at_bound: tuple[str, ...]
     trials: int
 
 

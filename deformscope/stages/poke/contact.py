@@ -71,7 +71,6 @@ class ContactFit:
     depth_m: depth of the dent at `at_force_n`; contact_m, contact_sd_m: where contact began, on the axis of the
     approach, which grows into the surface; exponent, exponent_sd: p, and exponent_related: covariance of the errors of
     p and log_stiffness; peak_force_n: along the normal, tare taken off
-    residual_m: scatter of the arm's position about the law; arm_sd_m: uncertainty of the depth due to the arm
     samples: number of samples that were fitted; peak_rate_n_per_s, peak_rate_interval_n_per_s: as in `peak_rate`"""
 
     stiffness_n_per_mm: float
@@ -90,8 +89,6 @@ class ContactFit:
     exponent_sd: float
     exponent_related: float
     peak_force_n: float
-    residual_m: float
-    arm_sd_m: float
     samples: int
     peak_rate_n_per_s: float | None
     peak_rate_interval_n_per_s: tuple[float, float] | None
@@ -160,9 +157,8 @@ def fit_approach(
         residuals, [z0, depth, prior], x_scale=[1e-3, 1e-3, 0.1], loss="soft_l1", f_scale=2.0, method="trf"
     )
     z0, depth, p = (float(value) for value in found.x)
-    scatter = residuals(found.x)[:-1]
     # the arm may scatter more than stated
-    inflation = max(1.0, float(np.median(np.abs(scatter))) / 0.6745)
+    inflation = max(1.0, float(np.median(np.abs(residuals(found.x)[:-1]))) / 0.6745)
     jacobian = found.jac.copy()
     jacobian[:-1] /= inflation
     cov = np.linalg.pinv(jacobian.T @ jacobian)
@@ -200,8 +196,6 @@ def fit_approach(
         exponent_sd=float(np.sqrt(cov[2, 2])),
         exponent_related=-float(cov[1, 2]) / depth,
         peak_force_n=peak,
-        residual_m=float(np.median(np.abs(scatter * sample_sd)) / 0.6745),
-        arm_sd_m=arm_sd,
         samples=int(loaded.sum()),
         peak_rate_n_per_s=rate,
         peak_rate_interval_n_per_s=rate_interval,

@@ -94,7 +94,7 @@ class CreepFit:
     probability SURE; why: why, in words
     viscous, plastic, slipping: probabilities of each, None if the touch does not determine it
     kept, kept_interval: permanent share of the dent, beyond relaxation; None without the retract
-    slid_m, force_ratio: how far the tip slid, if it did; the largest force across over the set force
+    slid_m: how far the tip slid, if it did
     log_at_reference, log_at_reference_sd: log of the ratio of stiffness at an approach with REFERENCE_SPEED_M_S to that
     of this one, and its deviation"""
 
@@ -123,7 +123,6 @@ class CreepFit:
     kept: float | None = None
     kept_interval: tuple[float, float] | None = None
     slid_m: float | None = None
-    force_ratio: float | None = None
     log_at_reference: float = 0.0
     log_at_reference_sd: float = 0.0
 
@@ -251,7 +250,6 @@ def fit_creep(
         kept=stays,
         kept_interval=stays_interval,
         slid_m=slip.slid_m,
-        force_ratio=slip.ratio,
         log_at_reference=float(other_speed.mean()),
         log_at_reference_sd=float(other_speed.std()),
     )

@@ -34,12 +34,11 @@ SLID_M = 5e-4
 @dataclass(frozen=True, slots=True)
 class SlipFit:
     """probability: probability that the tip slid by SLID_M or more; slid_m: distance, if it slid; friction:
-    lateral force by normal force where it slid; ratio: largest measured ratio of these forces"""
+    lateral force by normal force where it slid"""
 
     probability: float
     slid_m: float
     friction: float
-    ratio: float
 
 
 def fit_slip(
@@ -89,5 +88,4 @@ def fit_slip(
         probability=probability,
         slid_m=float(np.average(slid_m, weights=given)),
         friction=float(np.average(friction, weights=given)),
-        ratio=float(np.linalg.norm(lateral, axis=1).max() / peak),
     )

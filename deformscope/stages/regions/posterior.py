@@ -76,8 +76,7 @@ class RegionMap:
     which the level is a lower bound, the highest of their touches', at which the interval begins; it is open above
     field, field_sd: log stiffness at every cell, over all hypotheses
     scatter: deviation of touches' log stiffness within one material, root mean square over the posterior
-    wrong_share: share of the surface that is expected to have a wrong label, given k; nan without regions
-    boundary_sd_m: the same as a distance from the boundary; nan without one"""
+    wrong_share: share of the surface that is expected to have a wrong label, given k; nan without regions"""
 
     grid: MapGrid
     verdict: RegionMapKind
@@ -92,7 +91,6 @@ class RegionMap:
     field: FloatArray
     field_sd: FloatArray
     wrong_share: float
-    boundary_sd_m: float
     scatter: float = np.nan
     at_least: bool = False
 
@@ -325,7 +323,6 @@ class RegionPosterior:
             field=log_stiffness,
             field_sd=log_stiffness_sd,
             wrong_share=np.nan,
-            boundary_sd_m=np.nan,
             scatter=self.scatter,
         )
         if self.verdict == "gradual":
@@ -340,10 +337,6 @@ class RegionPosterior:
         interval = np.quantile(drawn, [0.05, 0.95], axis=0).T
         mean_level[rigid], interval[rigid] = self._rigid_bound, (self._rigid_bound, np.inf)
         right = np.minimum(probability.max(axis=0), 1.0)  # weights add up to 1 but for rounding
-        wrong = float(1.0 - right.mean())
-        sides = (labels[1:] != labels[:-1]).sum() + (labels[:, 1:] != labels[:, :-1]).sum()
-        edge_m = self.grid.cell_m * (float(sides) * np.pi / 4.0)  # slanted boundaries have 4 / pi as many sides
-        area = self.grid.size_m[0] * self.grid.size_m[1]
         return replace(
             found,
             region_count=k,
@@ -354,8 +347,7 @@ class RegionPosterior:
             level_sd=drawn.std(axis=0),
             level_interval=interval,
             rigid=rigid,
-            wrong_share=wrong,
-            boundary_sd_m=wrong * area / edge_m if edge_m else np.nan,
+            wrong_share=float(1.0 - right.mean()),
         )
 
     @property

@@ -44,7 +44,7 @@ class DepthChange:
     change_m: (61, 61) [m], NaN where nothing was measured; small_m: (11, 11) means of its blocks without those pixels
     center_px: (2,) column and row of its middle; width_m: how wide it is on the container's surface [m]
     missing: share of pixels without a measurement of the wall; noise_m: deviation of a measured pixel, root mean square
-    filled_m, small_filled_m: the maps as features, without NaN"""
+    small_filled_m: the coarse map as features, without NaN"""
 
     change_m: FloatArray
     small_m: FloatArray
@@ -52,11 +52,6 @@ class DepthChange:
     width_m: float
     missing: float
     noise_m: float
-
-    @property
-    def filled_m(self) -> FloatArray:
-        """(3721,) row by row; missing pixels as in `filled`."""
-        return filled(self.change_m).ravel()
 
     @property
     def small_filled_m(self) -> FloatArray:

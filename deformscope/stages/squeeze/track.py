@@ -73,7 +73,7 @@ class PoseEstimate:
     directions: (6, 6) a direction of motion each row, container frame: translation, then rotation times `lever_m`
     deviation_m: (6,) standard deviation of the pose along each from image data [m]; observed: (6,) directions that the
     data determine; pixels: number of pixels of the container seen and compared; agreeing: share of them within the
-    noise; rms_m: root mean square of these residuals; edge_points: number of points of the outline seen; good: whether
+    noise; rms_m: root mean square of these residuals; good: whether
     features may be taken from it; reason: why not, or empty"""
 
     T_camera_container: FloatArray
@@ -84,7 +84,6 @@ class PoseEstimate:
     pixels: int
     agreeing: float
     rms_m: float
-    edge_points: int
     good: bool
     reason: str
 
@@ -401,7 +400,6 @@ def _judged(
         pixels=len(shown),
         agreeing=agreeing,
         rms_m=rms,
-        edge_points=len(rows[1].residual) if rows else 0,
         good=not reason,
         reason=reason,
     )

@@ -34,8 +34,9 @@ def test_a_known_dent_is_measured_within_the_noise(model: ContainerModel, seed: 
     assert abs(off.mean()) < 3.0 * NOISE / np.sqrt(off.size)
     assert np.sqrt((off**2).mean()) < 1.5 * NOISE
     assert np.abs(off).max() < 5.0 * change.noise_m
-    assert np.abs(change.filled_m.reshape(61, 61) - true)[wall].max() < 5.0 * change.noise_m  # also behind the finger
-    assert np.abs(change.filled_m).max() < 0.01 + 5.0 * change.noise_m  # beside the container, where nothing is true
+    assert np.abs(filled(change.change_m) - true)[wall].max() < 5.0 * change.noise_m  # also behind the finger
+    # beside the container, where nothing is true
+    assert np.abs(filled(change.change_m)).max() < 0.01 + 5.0 * change.noise_m
     edge = np.rint(np.linspace(0, 61, 12)).astype(int)
     total, count = (
         np.add.reduceat(np.add.reduceat(one, edge[:-1], axis=0), edge[:-1], axis=1)
@@ -64,7 +65,7 @@ def test_what_no_dent_can_be_is_missing_and_does_not_spread() -> None:
             ModelRenderer(BOX, CAMERA), REST, depth, np.array([0.0, 0.0, 0.9]), excluded=hand, closed_m=0.01
         )
         assert not np.isfinite(found.change_m[wrong[210:271, 290:351]]).any()
-        np.testing.assert_allclose(found.filled_m, 0.002, atol=1e-6)
+        np.testing.assert_allclose(filled(found.change_m), 0.002, atol=1e-6)
         np.testing.assert_allclose(found.small_filled_m, 0.002, atol=1e-6)
 
 
@@ -75,7 +76,7 @@ def test_a_wall_is_pressed_in_no_farther_than_the_fingers_closed() -> None:
         depth = model + pressed_m
         if seen:
             found = depth_change(ModelRenderer(BOX, CAMERA), REST, depth, tip, closed_m=closed_m)
-            np.testing.assert_allclose(found.filled_m, pressed_m, atol=1e-6)
+            np.testing.assert_allclose(filled(found.change_m), pressed_m, atol=1e-6)
         else:
             with pytest.raises(InputError, match="10% of the container"):
                 depth_change(ModelRenderer(BOX, CAMERA), REST, depth, tip, closed_m=closed_m)

@@ -21,7 +21,7 @@ def estimate(observed: list[bool]) -> PoseEstimate:
     """At the origin; directions along the axes, rotation with a lever of 0.1 m."""
     deviation = np.where(observed, 1e-4, 1.0)
     known = np.array(observed)
-    return PoseEstimate(np.eye(4), np.eye(6), deviation, known, 0.1, 1000, 0.99, 1e-3, 50, True, "")
+    return PoseEstimate(np.eye(4), np.eye(6), deviation, known, 0.1, 1000, 0.99, 1e-3, True, "")
 
 
 def test_a_pose_is_wrong_by_what_it_is_off_in_the_directions_that_are_observed() -> None:
