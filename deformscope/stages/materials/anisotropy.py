@@ -174,17 +174,14 @@ class _AxisFit:
         moved = self._relax(beta, shaken, HELD_REPEATS) - best.simulated
         moved = moved[np.isfinite(moved).all(axis=1)]
         found = least_squares.shared_noise(best.residual, len(best.at), moved, tried, least)
-        return dataclasses.replace(found, shared=self._shared(best))
-
-    def _shared(self, best: least_squares.Minimum) -> float:
-        """How many times more a mean of the residuals varies than if neighbours shared no error: a misfit is shared."""
+        # a misfit is shared by neighbours: a mean of the residuals varies more than if they shared no error
         worth = count = 0.0
         for s, j, body, one in zip(self.seen, self.judged, self.bodies, self.positions(best), strict=True):
             points, residual = s.rest[j], (s.deformed - one)[j]
             length = shared_over(points, residual, body.scale)
             worth += independent(points, length) if length > 0.0 else len(points)
             count += len(points)
-        return count / worth
+        return dataclasses.replace(found, shared=count / worth)
 
     def rises(self, best: least_squares.Minimum, noise: Noise) -> list[float]:
         """By how many standard deviations the data separate each beta from the least likely one of its range, (d,)."""

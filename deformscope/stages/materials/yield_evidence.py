@@ -185,23 +185,16 @@ def strain_profile(histories: YieldHistories, best: Minimum, noise: Noise, grid:
     at[:, 0] = np.log(grid)
     simulated = histories.simulate(at)
     squares, excess = np.full(len(grid), np.nan), np.full(len(grid), np.inf)
+    others = best.jacobian[:, 1:]
     for row, one in enumerate(simulated):
         if np.isfinite(one).all():
-            away = _others_refitted(best, one - best.simulated)
+            away = one - best.simulated
+            if others.shape[1]:  # beta and creep adapt as well as possible
+                away = away + others @ np.linalg.lstsq(others, best.residual - away, rcond=1e-12)[0]
             residual = best.residual - away
             squares[row] = float(residual @ residual)
             excess[row] = excess_over(best, noise, best.simulated + away, squares[row])
     return StrainProfile(grid, squares, excess)
-
-
-def _others_refitted(best: Minimum, away: FloatArray) -> FloatArray:
-    """Remainder of a change (n,) of the coordinates when beta and creep adapt as well as possible."""
-    others = best.jacobian[:, 1:]
-    if not others.shape[1]:
-        return away
-    target = best.residual - away
-    step = np.linalg.lstsq(others, target, rcond=1e-12)[0]
-    return np.asarray(away + others @ step)
 
 
 def excess_over(best: Minimum, noise: Noise, other: FloatArray, squares: float) -> float:

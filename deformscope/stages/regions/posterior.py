@@ -333,7 +333,13 @@ class RegionPosterior:
         drawn = level[one] + sd[one] * rng.standard_normal((LEVELS_DRAWN, k))
         labels = probability.argmax(axis=0).reshape(self.grid.shape)
         mean_level = drawn.mean(axis=0)
-        rigid = self._rigid_regions(labels, mean_level)
+        # with a rigid touch and a level at its bound: a boundary explains softer touches in them
+        rigid = np.zeros(k, dtype=bool)
+        for touch in self.touches:
+            if touch.rigid:
+                column, row = np.clip((touch.xy_m / self.grid.cell_m).astype(int), 0, np.array(labels.shape)[::-1] - 1)
+                rigid[labels[row, column]] = True
+        rigid &= mean_level > self._rigid_bound - RIGID_SDS * self.prior.rigid_sd
         interval = np.quantile(drawn, [0.05, 0.95], axis=0).T
         mean_level[rigid], interval[rigid] = self._rigid_bound, (self._rigid_bound, np.inf)
         right = np.minimum(probability.max(axis=0), 1.0)  # weights add up to 1 but for rounding
@@ -366,16 +372,6 @@ class RegionPosterior:
     @cached_property
     def _some_hypotheses(self) -> RegionHypotheses:
         return self.hypotheses()
-
-    def _rigid_regions(self, labels: IntArray, level: FloatArray) -> BoolArray:
-        """(k,) regions with a rigid touch and a level at its bound: a boundary explains softer touches in them."""
-        rows, columns = self.grid.shape
-        rigid = np.zeros(len(level), dtype=bool)
-        for touch in self.touches:
-            if touch.rigid:
-                column, row = np.clip((touch.xy_m / self.grid.cell_m).astype(int), 0, [columns - 1, rows - 1])
-                rigid[labels[row, column]] = True
-        return rigid & (level > self._rigid_bound - RIGID_SDS * self.prior.rigid_sd)
 
     def _draw(
         self, one: WeightedMaps, count: int, readings: Readings

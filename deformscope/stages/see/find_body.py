@@ -485,7 +485,9 @@ def _tool(motion: _Motion, moving: BoolArray, lab: Any) -> BoolArray:
     seed = moving & ~_grown(rigid, 7)
     if not rigid.any() or np.count_nonzero(seed) < FEWEST:
         return rigid
-    if _unlike(lab[rigid], lab[seed]) < UNLIKE:
+    spread = 0.5 * (np.cov(lab[rigid].T) + np.cov(lab[seed].T)) + 2.0 * np.eye(3)
+    apart = lab[rigid].mean(axis=0) - lab[seed].mean(axis=0)
+    if np.sqrt(apart @ np.linalg.solve(spread, apart)) < UNLIKE:
         return np.zeros(rigid.shape, dtype=bool)
     zone = moving | _grown(rigid, 7)
     like_body, like_tool = (_typical(lab, one) for one in (seed, rigid & _rim(rigid.shape, 2 * RIM)))
@@ -502,13 +504,6 @@ def _typical(lab: Any, sample: BoolArray) -> FloatArray:
     counts = cv2.calcHist([lab], [0, 1, 2], sample.astype(np.uint8), [32, 32, 32], [0, 256] * 3)
     soft = scipy.ndimage.gaussian_filter(counts, 1.0)
     return np.asarray((soft / max(float(soft.max()), 1e-9))[tuple(np.moveaxis(lab // 8, -1, 0))])
-
-
-def _unlike(first: Any, second: Any) -> float:
-    """Distance of the mean colours of pixels (n, 3) and (m, 3), in deviations."""
-    spread = 0.5 * (np.cov(first.T) + np.cov(second.T)) + 2.0 * np.eye(3)
-    apart = first.mean(axis=0) - second.mean(axis=0)
-    return float(np.sqrt(apart @ np.linalg.solve(spread, apart)))
 
 
 def _rigid(motion: _Motion, side: str) -> BoolArray:

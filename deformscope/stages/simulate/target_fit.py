@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.arrays import BoolArray, FloatArray
 from deformscope.stages.fit.least_squares import Noise
 from deformscope.stages.poke.comparison import Score, score_of
 from deformscope.stages.poke.poke_fit import SeenPoke
@@ -167,7 +167,12 @@ def fit_target(
             ahead = np.where((at + STEPS > high) | (at + STEPS < low), -STEPS, STEPS)
             slopes = [(run(at + ahead * (np.arange(3) == one)).every - best.every) / ahead[one] for one in open_]
             jacobian = np.stack(slopes, axis=1)
-            deviation = _deviation(jacobian, best, open_, len(pokes))
+            # by what is left of forces and of surfaces, each at least as stated. A poke's force is one number, and its
+            # surface, whose points err together, another
+            noise = [max(1.0, float(np.sqrt(one @ one / max(len(pokes) - 1, 1)))) for one in (best.force, best.dent)]
+            sd = np.repeat(noise, [len(best.force), len(best.dent)])
+            known = jacobian[: len(sd)] / sd[:, None]
+            deviation[open_] = np.sqrt(np.diag(Noise(1.0, np.zeros((0, len(sd)))).covariance(known)))
             square = jacobian.T @ jacobian
             step = np.zeros(3)
             lifted = square + np.diag(damping * np.diag(square) + 1e-9)
@@ -225,14 +230,3 @@ def _residuals(
         dents.append(off.ravel() / np.sqrt(max(len(off), 1)))
         inside.append(answer.penetration / (PENETRATION * poke.depth) / np.sqrt(len(poke.depth)))
     return np.concatenate(forces), np.concatenate(dents), np.concatenate(inside)
-
-
-def _deviation(jacobian: FloatArray, best: _Run, open_: IntArray, pokes: int) -> FloatArray:
-    """(3,) standard deviations by what is left of forces and of surfaces, each at least as stated; infinite where
-    nothing was fitted. A poke's force is one number, and its surface, whose points err together, another."""
-    noise = [max(1.0, float(np.sqrt(one @ one / max(pokes - 1, 1)))) for one in (best.force, best.dent)]
-    sd = np.repeat(noise, [len(best.force), len(best.dent)])
-    found = np.full(3, np.inf)
-    known = jacobian[: len(sd)] / sd[:, None]
-    found[open_] = np.sqrt(np.diag(Noise(1.0, np.zeros((0, len(sd)))).covariance(known)))
-    return found

@@ -144,7 +144,9 @@ def track(
         rows, _ = _equations(renderer, depth, usable, pose, options.reach_m, fine)
         motion, _, _ = _solve(rows, pose, rest, lever)
         motion = gain * motion
-        pose = _moved(pose, motion)
+        pose = pose.copy()
+        pose[:3, 3] += motion[:3]
+        pose[:3, :3] = Rotation.from_rotvec(motion[3:]).as_matrix() @ pose[:3, :3]
         length = _length(motion, lever)
         settled = fine and length < RESTLESS_M
         if fine and length < SETTLED_M:
@@ -352,14 +354,6 @@ def _between(pose: FloatArray, other: FloatArray) -> FloatArray:
     """(6,) the motion from one pose to another, camera frame, rotation about the container's origin."""
     turn = Rotation.from_matrix(other[:3, :3] @ pose[:3, :3].T).as_rotvec()
     return np.concatenate([other[:3, 3] - pose[:3, 3], turn])
-
-
-def _moved(pose: FloatArray, motion: FloatArray) -> FloatArray:
-    """The pose (4, 4) after a motion (6,): translation [m], then rotation vector [rad]."""
-    moved = pose.copy()
-    moved[:3, 3] += motion[:3]
-    moved[:3, :3] = Rotation.from_rotvec(motion[3:]).as_matrix() @ pose[:3, :3]
-    return moved
 
 
 def _judged(
