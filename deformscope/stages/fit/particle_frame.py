@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy  # its parts are imported as they are first used
 
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.stages.fit.estimate import Comparison, LengthUnit
@@ -41,7 +41,8 @@ def green_strain(rest: FloatArray, deformed: FloatArray) -> FloatArray:
     """(K, d, d) Green-Lagrange strain at particles, by the least squares gradient over neighbours; NaN where these
     span no volume. rest, deformed: (K, d), NaN where not known"""
     count, d = rest.shape
-    gap, near = cKDTree(rest).query(rest, k=min(3**d, count), distance_upper_bound=WITHIN * spacing(rest))
+    tree = scipy.spatial.cKDTree(rest)
+    gap, near = tree.query(rest, k=min(3**d, count), distance_upper_bound=WITHIN * spacing(rest))
     near = np.where(np.isfinite(gap), near, np.arange(count)[:, None])
     before, after = rest[near] - rest[:, None], deformed[near] - deformed[:, None]
     known = np.isfinite(after).all(axis=2, keepdims=True)

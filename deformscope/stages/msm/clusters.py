@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy  # its parts are imported as they are first used
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
@@ -149,7 +149,7 @@ def nearest(rest: FloatArray, member_count: int) -> Clusters:
     """One cluster around each of the particles (K, d): itself and its nearest neighbours, `member_count` in all (points
     without a lattice). Equal clusters are stored once."""
     count = min(member_count, len(rest))
-    _, index = cKDTree(rest).query(rest, k=count)
+    _, index = scipy.spatial.cKDTree(rest).query(rest, k=count)
     rows = np.unique(np.sort(np.asarray(index).reshape(len(rest), count), axis=1), axis=0)
     return Clusters(list(rows), len(rest))
 
@@ -205,7 +205,7 @@ def held_mask(particle_count: int, held: IntArray) -> BoolArray:
 
 def spacing(rest: FloatArray) -> float:
     """Median distance of points (K, d) to the nearest neighbour, which makes everything dimensionless."""
-    distance, _ = cKDTree(rest).query(rest, k=2)
+    distance, _ = scipy.spatial.cKDTree(rest).query(rest, k=2)
     return float(np.median(distance[:, 1]))
 
 
@@ -237,7 +237,7 @@ def _window_sums(values: IntArray | BoolArray, window: tuple[int, ...]) -> IntAr
 
 def _adopt(rest: FloatArray, alone: IntArray, directions: int) -> list[IntArray]:
     """A cluster (n,) for each particle of (K, d) in none: itself and neighbours enough to span all directions."""
-    tree = cKDTree(rest)
+    tree = scipy.spatial.cKDTree(rest)
     adopted = []
     for particle in alone:
         row = np.array([particle])
