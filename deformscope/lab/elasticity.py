@@ -36,7 +36,7 @@ MOST_FACTORISED = 40_000
 """Number of unknowns up to which the equations are factorised (2 s, and 0.03 s for each right-hand side). Beyond,
 conjugate gradients are faster: 100 000 unknowns of a slab take 3 s at nu = 0.3 and 8 s at 0.49, against 18 s."""
 
-LEAF = 50
+LEAF = 10
 """Number of nodes that nested dissection does not divide further."""
 
 SOLVED_TO = 1e-10
@@ -230,22 +230,20 @@ def dissected(nodes: FloatArray, axes: tuple[FloatArray, ...]) -> IntArray:
 
     nodes: (n, 3) node of each unknown. Elements do not cross a plane of corners, so that both sides of a plane depend
     on each other only through its nodes."""
-    spacing = np.array([float(np.diff(axis).mean()) for axis in axes])
-    tolerance = 1e-6 * min(float(np.diff(axis).min()) for axis in axes)
+    apart = 1e-6 * min(float(np.diff(axis).min()) for axis in axes)
+    # an odd number for a plane of corners, an even one between two: however wide, elements count alike
+    pairs = zip(axes, nodes.T, strict=True)
+    plane = np.column_stack([np.searchsorted(axis, x - apart) + np.searchsorted(axis, x + apart) for axis, x in pairs])
 
     def parted(some: IntArray) -> list[IntArray]:
         """The nodes at indices (n,) in the order of elimination: parts on both sides of a plane of nodes, then that
         plane."""
-        if len(some) <= 3 * LEAF:
+        low, high = plane[some].min(axis=0), plane[some].max(axis=0)
+        d = int(np.argmax(high - low))
+        cut = (low[d] + high[d]) // 2 | 1
+        if len(some) <= 3 * LEAF or not low[d] < cut < high[d]:
             return [some]
-        place = nodes[some]
-        for d in np.argsort(-np.ptp(place, axis=0) / spacing):
-            along = place[:, d]
-            inside = axes[d][(axes[d] > along.min() + tolerance) & (axes[d] < along.max() - tolerance)]
-            if inside.size:
-                cut = inside[np.argmin(np.abs(inside - np.median(along)))]
-                below, above = along < cut - tolerance, along > cut + tolerance
-                return [*parted(some[below]), *parted(some[above]), some[~(below | above)]]
-        return [some]
+        along = plane[some, d]
+        return [*parted(some[along < cut]), *parted(some[along > cut]), some[along == cut]]
 
     return np.concatenate(parted(np.arange(len(nodes))))
