@@ -21,83 +21,51 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
+from deformscope import frames
 from deformscope.arrays import ImageArray, IntArray
-from deformscope.frames import (
-    ArmFrame,
-    ColorFrame,
-    DepthFrame,
-    HandFrame,
-    HealthReport,
-    InputFile,
-    LinkChange,
-    RawBytes,
-    SessionNote,
-    StageCost,
-    TactileFrame,
-    WrenchFrame,
-)
 from deformscope.images import decode_image
-from deformscope.stages.map.exploration import (
-    ExplorationStop,
-    InclusionsResult,
-    MapEstimate,
-    PhaseStart,
-    PlannedTouch,
-    StageFailure,
-    SteeringDecision,
-    SurfaceEstimate,
-    TouchEstimate,
-    TouchForecast,
-)
+from deformscope.stages.map import exploration
 from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement
 from deformscope.stages.map.perception import ForcePose, LookPerception, TouchPerception
+from deformscope.stages.squeeze import trial
 from deformscope.stages.squeeze.events import SqueezeEvents
 from deformscope.stages.squeeze.placement import ContainerSighting, HandPlacement
-from deformscope.stages.squeeze.trial import (
-    ContainerChange,
-    ContentPosterior,
-    FingertipPressure,
-    SqueezeFeatures,
-    SqueezePhase,
-    SqueezeStop,
-    TrackedContainer,
-)
 
 FORMAT = 3
 """Format of a recording, in its properties: which entities and components it has, and how its results are computed. A
 change that another version would misread, or compute otherwise, increases it; no other format is read."""
 
 ENTITIES: dict[type, str] = {
-    SurfaceEstimate: "exploration/surface",
-    TouchEstimate: "exploration/touch",
-    MapEstimate: "exploration/maps",
-    InclusionsResult: "exploration/lumps",
-    PlannedTouch: "exploration/plan",
-    TouchForecast: "exploration/forecast",
-    SteeringDecision: "exploration/decision",
-    StageFailure: "exploration/failed",
-    PhaseStart: "exploration/phase",
-    ExplorationStop: "exploration/stopped",
+    exploration.SurfaceEstimate: "exploration/surface",
+    exploration.TouchEstimate: "exploration/touch",
+    exploration.MapEstimate: "exploration/maps",
+    exploration.InclusionsResult: "exploration/lumps",
+    exploration.PlannedTouch: "exploration/plan",
+    exploration.TouchForecast: "exploration/forecast",
+    exploration.SteeringDecision: "exploration/decision",
+    exploration.StageFailure: "exploration/failed",
+    exploration.PhaseStart: "exploration/phase",
+    exploration.ExplorationStop: "exploration/stopped",
     LookPerception: "exploration/perception/look",
     TouchPerception: "exploration/perception/touch",
     LookFrames: "exploration/input/look",
     TouchFrames: "exploration/input/touch",
     SurfaceMeasurement: "exploration/input/surface",
     TouchMeasurement: "exploration/input/measured",
-    SqueezePhase: "squeeze/phase",
-    SqueezeStop: "squeeze/stopped",
+    trial.SqueezePhase: "squeeze/phase",
+    trial.SqueezeStop: "squeeze/stopped",
     SqueezeEvents: "squeeze/events",
-    SqueezeFeatures: "squeeze/features",
-    FingertipPressure: "squeeze/fingertips",
-    TrackedContainer: "squeeze/container",
-    ContainerChange: "squeeze/change",
-    ContentPosterior: "squeeze/content",
+    trial.SqueezeFeatures: "squeeze/features",
+    trial.FingertipPressure: "squeeze/fingertips",
+    trial.TrackedContainer: "squeeze/container",
+    trial.ContainerChange: "squeeze/change",
+    trial.ContentPosterior: "squeeze/content",
     ContainerSighting: "squeeze/sighting",
     HandPlacement: "squeeze/placement",
-    HealthReport: "health",
-    SessionNote: "note",
-    InputFile: "input",
-    StageCost: "cost",
+    frames.HealthReport: "health",
+    frames.SessionNote: "note",
+    frames.InputFile: "input",
+    frames.StageCost: "cost",
 }
 """The place of each kind in a recording."""
 
@@ -105,18 +73,25 @@ SERIES: dict[type, str] = {ForcePose: "exploration/force_pose"}
 """Results that are rows at times of their own: `host_ns` (n,), and `values` (n, k) as scalars that a viewer plots."""
 
 OF_DEVICES: dict[type, str] = {
-    WrenchFrame: "wrench",
-    TactileFrame: "tactile",
-    ArmFrame: "arm",
-    HandFrame: "hand",
-    ColorFrame: "color",
-    DepthFrame: "depth",
-    RawBytes: "raw",
-    LinkChange: "link",
+    frames.WrenchFrame: "wrench",
+    frames.TactileFrame: "tactile",
+    frames.ArmFrame: "arm",
+    frames.HandFrame: "hand",
+    frames.ColorFrame: "color",
+    frames.DepthFrame: "depth",
+    frames.RawBytes: "raw",
+    frames.LinkChange: "link",
 }
 """Items of a device, whose name follows: `wrench/DEVICE`."""
 
-FRAMES = (WrenchFrame, TactileFrame, ArmFrame, HandFrame, ColorFrame, DepthFrame)
+FRAMES = (
+    frames.WrenchFrame,
+    frames.TactileFrame,
+    frames.ArmFrame,
+    frames.HandFrame,
+    frames.ColorFrame,
+    frames.DepthFrame,
+)
 """Rows of these types have the index as their place on the timeline `index` of an exploration, else `frame`."""
 
 IMAGES = {"ColorFrame:image": "EncodedImage:blob", "DepthFrame:depth": "EncodedDepthImage:blob"}

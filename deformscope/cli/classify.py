@@ -10,16 +10,7 @@ deformscope classify more.npz --model contents.npz
 from collections.abc import Mapping
 from pathlib import Path
 
-from deformscope.cli.common import (
-    fit_progress,
-    make_folder,
-    recorder_of,
-    settings_of,
-    show,
-    write_file,
-    write_json,
-    wrote,
-)
+from deformscope.cli import common
 from deformscope.config import ClassifyConfig
 from deformscope.config.classify import parse_merges, parse_transfers
 from deformscope.session import Step
@@ -35,20 +26,20 @@ def run(config: ClassifyConfig) -> None:
         config.table, modalities=config.modalities, merge=parse_merges(config.merge), duplicates=config.duplicates
     )
     if config.report is not None and config.report.suffix != ".html":
-        make_folder(config.report)
+        common.make_folder(config.report)
     if config.model is not None:
         _check(config, config.model, table)
         return
     options = options_of(config, parse_transfers(config.transfer))
-    with recorder_of(config) as recorder:
-        with fit_progress() as progress:
+    with common.recorder_of(config) as recorder:
+        with common.fit_progress() as progress:
             result = classify_table(table, str(config.table), options, progress)
-        show(result)
+        common.show(result)
         recorder.write(Step((result.findings(),), frame=0))
-    write_json(result.entries(), config.output.json)
+    common.write_json(result.entries(), config.output.json)
     if config.save is None and config.page is None:
         return
-    with fit_progress() as progress:
+    with common.fit_progress() as progress:
         model = result.model(progress)
     if config.save is not None:
         save_classifier(model, config.save)
@@ -56,7 +47,7 @@ def run(config: ClassifyConfig) -> None:
         from deformscope.runs.classification_report import classification_page, classification_pictures
 
         drawn = classification_pictures(result)
-        _write_report(config, config.page, drawn, classification_page(result, model, drawn, settings_of(config)))
+        _write_report(config, config.page, drawn, classification_page(result, model, drawn, common.settings_of(config)))
 
 
 def _check(config: ClassifyConfig, path: Path, table: LabelledTable) -> None:
@@ -66,21 +57,21 @@ def _check(config: ClassifyConfig, path: Path, table: LabelledTable) -> None:
     from deformscope.stages.squeeze.model_check import check_model
 
     model = load_classifier(path)
-    with recorder_of(config) as recorder:
+    with common.recorder_of(config) as recorder:
         found = check_model(model, table, level=config.level, seed=config.output.seed)
         result = ClassifierCheckResult(found, len(table), f"{config.table} by {path}")
-        show(result)
+        common.show(result)
         recorder.write(Step((result.findings(),), frame=0))
     if config.page is not None:
         _write_report(
-            config, config.page, result.pictures(), check_page(result, config.output.seed, settings_of(config))
+            config, config.page, result.pictures(), check_page(result, config.output.seed, common.settings_of(config))
         )
-    write_json(result.entries(), config.output.json)
+    common.write_json(result.entries(), config.output.json)
 
 
 def _write_report(config: ClassifyConfig, page: Path, drawn: Mapping[str, bytes], text: str) -> None:
     if config.report is not None and config.report.suffix != ".html":
         for name, png in drawn.items():
-            write_file(config.report / f"{name}.png", png)
-    write_file(page, text.encode())
-    wrote("report", page)
+            common.write_file(config.report / f"{name}.png", png)
+    common.write_file(page, text.encode())
+    common.wrote("report", page)

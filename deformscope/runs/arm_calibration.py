@@ -20,14 +20,7 @@ from deformscope.experiments.explore.explore import ExplorationStopped
 from deformscope.experiments.explore.options import ExploreOptions
 from deformscope.experiments.explore.robot_geometry import FromFrames
 from deformscope.experiments.explore.touching_robot import TouchingRobot, touching_robot
-from deformscope.experiments.rig.arm_compliance import (
-    SURE_SD,
-    CombinedCompliance,
-    ComplianceTouch,
-    combine_compliance,
-    touch_places,
-    touched_rigid,
-)
+from deformscope.experiments.rig import arm_compliance
 from deformscope.file_io import nearest, read_file
 from deformscope.frames import InputFile
 from deformscope.lab.session_errors import LabErrors
@@ -133,15 +126,15 @@ def calibrate_arm(
         width, height = setup.size_m
         came = f"{xy_m[0]:g},{xy_m[1]:g}"
         raise InputError(f"--at on the surface: between 0,0 and {width:g},{height:g} m", came)
-    made: list[ComplianceTouch] = []
+    made: list[arm_compliance.ComplianceTouch] = []
 
     def touched(measured: TouchMeasurement, height_m: float) -> str:
-        made.append(touched_rigid(measured, height_m, options))
+        made.append(arm_compliance.touched_rigid(measured, height_m, options))
         give = 1e3 * made[-1].found.compliance_m_per_n
         return f"touch {len(made)}: {give:.3f} mm/N, pressed with {made[-1].peak_force_n:.2f} N"
 
     def result() -> RigCalibrationResult:
-        return _compliance(combine_compliance(made), f"({100 * xy_m[0]:.0f}, {100 * xy_m[1]:.0f}) cm")
+        return _compliance(arm_compliance.combine_compliance(made), f"({100 * xy_m[0]:.0f}, {100 * xy_m[1]:.0f}) cm")
 
     known = {name: there for name, there in setup.calibrated.items() if "compliance" not in name}
     places_m = np.tile(xy_m, (config.touches, 1))
@@ -254,7 +247,7 @@ def _touched_result(
                 robot, setup, options, calibrated, asked, yes=config.yes, places_m=np.unique(places_m, axis=0)
             )
             begun(opened.source)
-            yield from touch_places(FromFrames(robot.geometry, options), places_m, shown, forces_n)
+            yield from arm_compliance.touch_places(FromFrames(robot.geometry, options), places_m, shown, forces_n)
 
         with touching_robot(setup, opened.source, options, watch) as robot, watch.halts(robot):
             try:
@@ -273,7 +266,7 @@ def _touched_result(
     return found
 
 
-def _compliance(found: CombinedCompliance, place: str) -> RigCalibrationResult:
+def _compliance(found: arm_compliance.CombinedCompliance, place: str) -> RigCalibrationResult:
     rows = [
         ("touched at", place),
         ("compliance", f"{1e3 * found.compliance_m_per_n:.3f} mm/N +- {1e3 * found.compliance_sd:.3f}"),
@@ -284,7 +277,7 @@ def _compliance(found: CombinedCompliance, place: str) -> RigCalibrationResult:
     if found.dome > 0.0:
         dent = f"dents {1e3 * found.dome * 3.0 ** (2.0 / 3.0):.2f} mm at 3 N (Hertz), in addition to the compliance"
         rows.insert(2, ("tip", dent))
-    if found.compliance_sd > SURE_SD * found.compliance_m_per_n:
+    if found.compliance_sd > arm_compliance.SURE_SD * found.compliance_m_per_n:
         rows.append(("note", "the touches differ: make more of them; is it rigid and firmly held?"))
     known = {"compliance_m_per_n": found.compliance_m_per_n, "compliance_sd": found.compliance_sd}
     png = compliance_png([one.found for one in found.touches], ArmCompliance(**known))

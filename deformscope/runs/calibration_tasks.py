@@ -7,34 +7,11 @@ import numpy as np
 
 from deformscope.config import CameraConfig, ForceConfig, PlaceConfig, TimeConfig, TipConfig, ToolConfig
 from deformscope.errors import InputError
-from deformscope.experiments.rig.rig_calibration import (
-    push_tip,
-    tap_tip,
-    tilt_about_tip,
-    touch_corners,
-    view_board,
-    weigh_tool,
-)
+from deformscope.experiments.rig import rig_calibration
 from deformscope.frames import ArmFrame, ColorFrame, DepthFrame
 from deformscope.rig.rig_file import load_rig
 from deformscope.robot.setup import only_device
-from deformscope.runs.calibration_solvers import (
-    MeasuredCamera,
-    TouchedCorners,
-    camera_arrays,
-    force_arrays,
-    place_arrays,
-    recorded_taps,
-    solve_camera,
-    solve_force,
-    solve_place,
-    solve_time,
-    solve_tip,
-    solve_tool,
-    time_arrays,
-    tip_arrays,
-    tool_arrays,
-)
+from deformscope.runs import calibration_solvers
 from deformscope.runs.rig_calibration import SetupTask, Station
 from deformscope.session import RigExperiment
 from deformscope.stages.setup.board import CharucoSpec
@@ -44,7 +21,11 @@ from deformscope.terminal import say
 def _tip(config: TipConfig) -> SetupTask[Any]:
     """Position of the tip on the arm's end."""
     return SetupTask(
-        "tip", ("arm",), lambda at: tilt_about_tip(at.operator, at.arm, config.poses, say), tip_arrays, solve_tip
+        "tip",
+        ("arm",),
+        lambda at: rig_calibration.tilt_about_tip(at.operator, at.arm, config.poses, say),
+        calibration_solvers.tip_arrays,
+        calibration_solvers.solve_tip,
     )
 
 
@@ -52,27 +33,27 @@ def _place(config: PlaceConfig) -> SetupTask[Any]:
     """Pose of the surface."""
     corners = [number for _ in range(config.touches) for number in range(3)]
 
-    def measure(at: Station) -> RigExperiment[TouchedCorners]:
-        poses = yield from touch_corners(at.operator, at.arm, corners, say)
-        return TouchedCorners(poses, np.array(corners))
+    def measure(at: Station) -> RigExperiment[calibration_solvers.TouchedCorners]:
+        poses = yield from rig_calibration.touch_corners(at.operator, at.arm, corners, say)
+        return calibration_solvers.TouchedCorners(poses, np.array(corners))
 
-    return SetupTask("place", ("arm",), measure, place_arrays, solve_place)
+    return SetupTask("place", ("arm",), measure, calibration_solvers.place_arrays, calibration_solvers.solve_place)
 
 
 def _camera(config: CameraConfig) -> SetupTask[Any]:
     """The camera's pose and lens."""
     board = CharucoSpec(*config.board, config.square)
 
-    def measure(at: Station) -> RigExperiment[MeasuredCamera]:
-        views = yield from view_board(at.operator, at.arm, at.camera, board, config.views, say)
-        return MeasuredCamera(views)
+    def measure(at: Station) -> RigExperiment[calibration_solvers.MeasuredCamera]:
+        views = yield from rig_calibration.view_board(at.operator, at.arm, at.camera, board, config.views, say)
+        return calibration_solvers.MeasuredCamera(views)
 
     return SetupTask(
         "camera",
         ("arm", "depth"),
         measure,
-        camera_arrays,
-        lambda rig, made: solve_camera(rig, made, board, measure_lens=config.lens),
+        calibration_solvers.camera_arrays,
+        lambda rig, made: calibration_solvers.solve_camera(rig, made, board, measure_lens=config.lens),
     )
 
 
@@ -84,9 +65,11 @@ def _force(config: ForceConfig) -> SetupTask[Any]:
     return SetupTask(
         "force",
         ("arm", "wrench"),
-        lambda at: push_tip(at.operator, at.arm, at.wrench, config.repeats, config.tilts, say, config.weight),
-        lambda found: force_arrays(found, config.weight),
-        solve_force,
+        lambda at: rig_calibration.push_tip(
+            at.operator, at.arm, at.wrench, config.repeats, config.tilts, say, config.weight
+        ),
+        lambda found: calibration_solvers.force_arrays(found, config.weight),
+        calibration_solvers.solve_force,
     )
 
 
@@ -95,9 +78,9 @@ def _tool(config: ToolConfig) -> SetupTask[Any]:
     return SetupTask(
         "tool",
         ("arm", "wrench"),
-        lambda at: weigh_tool(at.operator, at.arm, at.wrench, config.poses, say),
-        tool_arrays,
-        solve_tool,
+        lambda at: rig_calibration.weigh_tool(at.operator, at.arm, at.wrench, config.poses, say),
+        calibration_solvers.tool_arrays,
+        calibration_solvers.solve_tool,
     )
 
 
@@ -115,10 +98,10 @@ def _time(config: TimeConfig) -> SetupTask[Any]:
     return SetupTask(
         "time",
         ("wrench", kinds[name]),
-        lambda at: tap_tip(at.operator, at.wrench, name, kind),
-        time_arrays,
-        lambda rig, taps: solve_time(rig, taps, name, wrench),
-        lambda path: recorded_taps(path, wrench, name, kind),
+        lambda at: rig_calibration.tap_tip(at.operator, at.wrench, name, kind),
+        calibration_solvers.time_arrays,
+        lambda rig, taps: calibration_solvers.solve_time(rig, taps, name, wrench),
+        lambda path: calibration_solvers.recorded_taps(path, wrench, name, kind),
     )
 
 

@@ -12,13 +12,7 @@ from deformscope.arrays import ImageArray
 from deformscope.config import BetaConfig, ImageOptions, OutputOptions, ThetaConfig
 from deformscope.config.flags import Selectable
 from deformscope.errors import InputError
-from deformscope.experiments.fit.calibration_inputs import (
-    mask_of,
-    on_one_clock,
-    opened_images,
-    particle_options,
-    thinned,
-)
+from deformscope.experiments.fit import calibration_inputs
 from deformscope.experiments.fit.foam_video import ParticleOptions, foam_video
 from deformscope.experiments.fit.found_body import Draw, found_in
 from deformscope.experiments.fit.push_force import PushOptions
@@ -62,7 +56,7 @@ def calibrate_images(
         raise InputError(expected, "images without a frame rate", "--fps 30")
 
     def opened() -> Source:
-        return _given_images(given, images) if given else opened_images(sources, images, timed=timed)
+        return _given_images(given, images) if given else calibration_inputs.opened_images(sources, images, timed=timed)
 
     if (images.roi is None and images.mask is None) or not any(one.startswith(SAMPLE_SCHEME) for one in sources):
         with opened() as source:
@@ -70,16 +64,16 @@ def calibrate_images(
                 source.end_at(config.push.force_frame)
             images, found, doubts = found_in(source, images, note, _drawn_to(config.summary.setup_picture, images))
         fit = dataclasses.replace(fit, doubts=doubts, found=found)
-    particles = particle_options(images, config.search.noise_px)
+    particles = calibration_inputs.particle_options(images, config.search.noise_px)
     masked = images.mask is not None or images.outline is not None
     settings = {"sources": list(sources), "stride": images.stride, "fps": images.fps, "mask": masked}
     settings |= {"camera": images.camera} if images.camera is not None else {}
     settings |= {"outline": list(images.outline)} if images.outline is not None else {}
     with opened() as source:
         settings["timed"] = source.timed
-        push, log = on_one_clock(source, config, push, log)
-        mask = mask_of(sources, images, source.size)
-        particles = thinned(source, particles, config, note, every=select is not None)
+        push, log = calibration_inputs.on_one_clock(source, config, push, log)
+        mask = calibration_inputs.mask_of(sources, images, source.size)
+        particles = calibration_inputs.thinned(source, particles, config, note, every=select is not None)
         return run_images(source, mask, fit, particles, settings, config.output, select, progress, push, log)
 
 

@@ -18,19 +18,7 @@ from deformscope.experiments.explore.explorer import Computed, ExplorationStages
 from deformscope.experiments.explore.options import PLAN_CELL_M
 from deformscope.experiments.explore.robot_geometry import Touch
 from deformscope.session import Answer, Compute, Inline, Moment, RigExperiment, Step, ask
-from deformscope.stages.map.exploration import (
-    DetectionLimit,
-    ExplorationStop,
-    InclusionsResult,
-    MapEstimate,
-    PhaseStart,
-    PlannedTouch,
-    StageFailure,
-    SteeringDecision,
-    SurfaceEstimate,
-    TouchEstimate,
-    TouchForecast,
-)
+from deformscope.stages.map import exploration
 from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
 
 _logger = logging.getLogger(__name__)
@@ -58,7 +46,7 @@ class Wait:
 class ExplorationStopped(InputError):
     """The robot must stop, or its command failed. stop: why, and when on the robot's clock"""
 
-    def __init__(self, stop: ExplorationStop, time_ns: int) -> None:
+    def __init__(self, stop: exploration.ExplorationStop, time_ns: int) -> None:
         super().__init__("an exploration that ends normally", f"{stop.kind}: {stop.reason}", stop.advice)
         self.stop, self.time_ns = stop, time_ns
 
@@ -79,10 +67,10 @@ class NextMove:
 class Steering(Protocol):
     """A person who may change the next step: consulted before each touch."""
 
-    def choose(self, plan: PlannedTouch | None, touches: int) -> Future[NextMove]:
+    def choose(self, plan: exploration.PlannedTouch | None, touches: int) -> Future[NextMove]:
         """plan: the plan, None if no touch could be planned; touches: touches made so far"""
 
-    def confirm(self, forecast: TouchForecast) -> Future[bool]:
+    def confirm(self, forecast: exploration.TouchForecast) -> Future[bool]:
         """Whether this touch is to be made."""
 
     def refuse(self, reason: str) -> None:
@@ -95,10 +83,10 @@ class Steering(Protocol):
 class Unsteered:
     """No person steers: every touch is made as planned."""
 
-    def choose(self, plan: PlannedTouch | None, touches: int) -> Future[NextMove]:
+    def choose(self, plan: exploration.PlannedTouch | None, touches: int) -> Future[NextMove]:
         return _resolved(NextMove())
 
-    def confirm(self, forecast: TouchForecast) -> Future[bool]:
+    def confirm(self, forecast: exploration.TouchForecast) -> Future[bool]:
         return _resolved(True)
 
     def refuse(self, reason: str) -> None: ...
@@ -110,7 +98,7 @@ class TouchPlanner(Protocol):
     """An own planner, for `deformscope.explore(..., planner=...)`. The planner's touches are checked like any
     others and recorded, so that a replay repeats them."""
 
-    def __call__(self, planned: PlannedTouch, so_far: "Exploration") -> Sequence[float] | None:
+    def __call__(self, planned: exploration.PlannedTouch, so_far: "Exploration") -> Sequence[float] | None:
         """The next place (x, y) on the surface [m]; None = as planned.
 
         planned: by "regions", with gain, cost [s] and exclusion of each cell; so_far: the surface, touches and maps.
@@ -123,7 +111,7 @@ class PlannedBy(Unsteered):
     def __init__(self, planner: TouchPlanner, so_far: "Exploration") -> None:
         self._planner, self._so_far, self._refused = planner, so_far, False
 
-    def choose(self, plan: PlannedTouch | None, touches: int) -> Future[NextMove]:
+    def choose(self, plan: exploration.PlannedTouch | None, touches: int) -> Future[NextMove]:
         refused, self._refused = self._refused, False
         if plan is None or plan.target_m is None or refused:
             return _resolved(NextMove())
@@ -138,7 +126,7 @@ class PlannedBy(Unsteered):
 class RecordedSteering(Unsteered):
     """Repeats the recorded decisions."""
 
-    def __init__(self, decisions: Sequence[SteeringDecision]) -> None:
+    def __init__(self, decisions: Sequence[exploration.SteeringDecision]) -> None:
         # of a touch that was broken off nothing is left to replay
         self._left = [
             one
@@ -146,7 +134,7 @@ class RecordedSteering(Unsteered):
             if one is not None and not (one.kind == "touch" and then is not None and then.kind == "held")
         ]
 
-    def choose(self, plan: PlannedTouch | None, touches: int) -> Future[NextMove]:
+    def choose(self, plan: exploration.PlannedTouch | None, touches: int) -> Future[NextMove]:
         if not self._left or self._left[0].touch != touches:
             return _resolved(NextMove())
         one = self._left.pop(0)
@@ -193,20 +181,20 @@ class Exploration:
     that a person requested, from 1; stop, stop_ns: reason and time of a stop before the plan's end
     compute_s, slowest_s: computing time, and that of the slowest touch [s]"""
 
-    surface: SurfaceEstimate | None = None
-    touches: list[TouchEstimate] = field(default_factory=list)
-    maps: MapEstimate | None = None
+    surface: exploration.SurfaceEstimate | None = None
+    touches: list[exploration.TouchEstimate] = field(default_factory=list)
+    maps: exploration.MapEstimate | None = None
     ended_ns: list[int] = field(default_factory=list)
     iou: list[float | None] = field(default_factory=list)
-    failures: list[StageFailure] = field(default_factory=list)
+    failures: list[exploration.StageFailure] = field(default_factory=list)
     region_probability: dict[str, float] | None = None
     travel_m: float = 0.0
     stop_reason: str = ""
-    missed: DetectionLimit | None = None
-    inclusions: InclusionsResult | None = None
+    missed: exploration.DetectionLimit | None = None
+    inclusions: exploration.InclusionsResult | None = None
     started: int = 0
     asked: list[int] = field(default_factory=list)
-    stop: ExplorationStop | None = None
+    stop: exploration.ExplorationStop | None = None
     stop_ns: int = 0
     compute_s: float = 0.0
     slowest_s: float = 0.0
@@ -216,19 +204,19 @@ class Exploration:
         self.compute_s += computed.seconds
         self.slowest_s = max(self.slowest_s, computed.seconds)
         for result in computed.results:
-            if isinstance(result, TouchEstimate):
+            if isinstance(result, exploration.TouchEstimate):
                 before = self.touches[-1].xyz_m[:2] if self.touches else np.zeros(2)
                 self.travel_m += float(np.hypot(*(result.xyz_m[:2] - before)))
                 self.touches.append(result)
-            elif isinstance(result, SurfaceEstimate):
+            elif isinstance(result, exploration.SurfaceEstimate):
                 self.surface = result
-            elif isinstance(result, MapEstimate):
+            elif isinstance(result, exploration.MapEstimate):
                 self.maps, self.region_probability = result, computed.region_probability
-            elif isinstance(result, InclusionsResult):
+            elif isinstance(result, exploration.InclusionsResult):
                 self.inclusions = result
-            elif isinstance(result, PlannedTouch):
+            elif isinstance(result, exploration.PlannedTouch):
                 self.stop_reason, self.missed = result.stop_reason, result.missed
-            elif isinstance(result, StageFailure):
+            elif isinstance(result, exploration.StageFailure):
                 self.failures.append(result)
         return computed.results
 
@@ -260,15 +248,15 @@ def explore(
     except ExplorationStopped as error:
         found.stop, found.stop_ns = error.stop, error.time_ns
         found.stop_reason = f"stopped: {error.stop.kind}"
-        results = PhaseStart(found.stop_reason, error.stop.touch), error.stop
+        results = exploration.PhaseStart(found.stop_reason, error.stop.touch), error.stop
         yield from ask(Wait(AFTER_S), results, Moment(error.time_ns, found.started))
 
 
 def _explore(clock: Callable[[], int], stage: Stage, found: Exploration, steering: Steering) -> RigExperiment[None]:
-    looked = yield from ask(Look(), (PhaseStart("look", 0),), Moment(clock()))
+    looked = yield from ask(Look(), (exploration.PhaseStart("look", 0),), Moment(clock()))
     seen = yield from _computed(clock, stage("look", looked), found, (_recorded_input(looked),), Moment(clock()))
     yield Step(found.add(seen), moment=Moment(clock()))
-    if not any(not isinstance(result, StageFailure) for result in seen.results):
+    if not any(not isinstance(result, exploration.StageFailure) for result in seen.results):
         raise _given_up(clock, found)
     while True:
         touch = yield from _next_touch(clock, stage, found, steering)
@@ -281,11 +269,11 @@ def _explore(clock: Callable[[], int], stage: Stage, found: Exploration, steerin
         except TouchHeld as held:
             found.started -= 1
             found.asked = [number for number in found.asked if number <= count]
-            broken_off = SteeringDecision(kind="held", xy_m=touch.xy_m, touch=count, reason=str(held))
+            broken_off = exploration.SteeringDecision(kind="held", xy_m=touch.xy_m, touch=count, reason=str(held))
             yield Step((broken_off,), moment=Moment(clock(), count))
             continue
         found.ended_ns.append(clock())
-        given = PhaseStart("plan", count), _recorded_input(touched)
+        given = exploration.PhaseStart("plan", count), _recorded_input(touched)
         made = yield from _computed(clock, stage("touch", touched), found, given, Moment(clock(), count + 1))
         results = found.add(made)
         found.iou.append(None if found.maps is None else found.maps.iou)
@@ -300,18 +288,18 @@ def _next_touch(
     plan = yield from _computed(clock, stage("plan"), found)
     while True:
         yield Step(found.add(plan), moment=Moment(clock(), count, cell_m=PLAN_CELL_M))
-        planned = next((one for one in plan.results if isinstance(one, PlannedTouch)), None)
+        planned = next((one for one in plan.results if isinstance(one, exploration.PlannedTouch)), None)
         while True:
             choice = yield from _answer_to(steering, steering.choose(planned, count))
             if choice.kind != "touch":
                 break
             aimed = yield from _computed(clock, stage("aim", choice.xy_m), found)
             yield Step(found.add(aimed), moment=Moment(clock(), count))
-            forecast = next((one for one in aimed.results if isinstance(one, TouchForecast)), None)
+            forecast = next((one for one in aimed.results if isinstance(one, exploration.TouchForecast)), None)
             if forecast is None or aimed.touch is None:
                 steering.refuse(aimed.refused)
             elif (yield from _answer_to(steering, steering.confirm(forecast))):
-                yield Step((SteeringDecision("touch", choice.xy_m, count),), moment=Moment(clock(), count))
+                yield Step((exploration.SteeringDecision("touch", choice.xy_m, count),), moment=Moment(clock(), count))
                 found.asked.append(count + 1)
                 return aimed.touch
         if choice.kind == "go on":
@@ -319,7 +307,7 @@ def _next_touch(
                 raise _given_up(clock, found, plan.given_up)
             return plan.touch
         if choice.kind == "veto":
-            decision = SteeringDecision("veto", choice.xy_m, count)
+            decision = exploration.SteeringDecision("veto", choice.xy_m, count)
             plan = yield from _computed(clock, stage("veto", choice.xy_m), found, (decision,), Moment(clock(), count))
         else:
             plan = yield from _computed(clock, stage("plan"), found)
@@ -363,7 +351,7 @@ def _recorded_input(given: Any) -> Any:
 
 def _given_up(clock: Callable[[], int], found: Exploration, why: str = "") -> ExplorationStopped:
     reason = why or f"{found.failures[-1].stage}: {found.failures[-1].reason}"
-    stop = ExplorationStop(
+    stop = exploration.ExplorationStop(
         kind=ESTIMATES_FAILED,
         reason=reason,
         advice="the failure, in the recording",
@@ -394,7 +382,7 @@ class RecordedRobot:
 
     def _next(self) -> Any:
         if not self.given:
-            stop = ExplorationStop(
+            stop = exploration.ExplorationStop(
                 kind=AT_END, reason="nothing was recorded after it", advice="", action="stop", touch=0
             )
             raise ExplorationStopped(stop, 0)

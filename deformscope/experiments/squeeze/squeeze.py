@@ -11,16 +11,9 @@ from typing import Any
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
+from deformscope.experiments.squeeze import squeezing_hand
 from deformscope.experiments.squeeze.features import SqueezeGeometry, TrialFeatures, trial_features
 from deformscope.experiments.squeeze.frames import SqueezeObserver
-from deformscope.experiments.squeeze.squeezing_hand import (
-    AFTER_S,
-    HandWait,
-    PreShape,
-    SqueezeEnded,
-    SqueezeOnce,
-    rule_of,
-)
 from deformscope.files.squeeze_dataset import TrialEntry, TrialRow
 from deformscope.robot.squeeze_setup import SqueezeSetup
 from deformscope.session import Compute, Moment, RigExperiment, Step, ask
@@ -73,27 +66,27 @@ def squeeze(
     try:
         if permitted is not None:
             yield from permitted
-        yield from ask(PreShape())
+        yield from ask(squeezing_hand.PreShape())
         if placed is not None:
             yield from placed
         if found.placement is not None:
             frames.T_hand_container = found.placement.T_hand_container
         yield from _tracked(observer)  # what tracks has begun
-        yield from ask(SqueezeOnce())
-    except SqueezeEnded as ended:
+        yield from ask(squeezing_hand.SqueezeOnce())
+    except squeezing_hand.SqueezeEnded as ended:
         found.stop, found.stop_ns = ended.stop, ended.time_ns
         stopped = SqueezePhase(f"stopped: {ended.stop.kind}"), ended.stop
         came_to = () if found.placement is None else (found.placement,)
-        yield from ask(HandWait(AFTER_S), (*stopped, *came_to), Moment(ended.time_ns))
+        yield from ask(squeezing_hand.HandWait(squeezing_hand.AFTER_S), (*stopped, *came_to), Moment(ended.time_ns))
         return
     try:
         if withdrawn is not None:
             yield from withdrawn
-    except SqueezeEnded as ended:  # what was squeezed holds
+    except squeezing_hand.SqueezeEnded as ended:  # what was squeezed holds
         found.withdrawal = ended.stop
         came_to = () if found.placement is None else (found.placement,)
         yield Step((ended.stop, *came_to), moment=Moment(ended.time_ns))
-    yield from ask(HandWait(0.0))  # what the devices gave last is taken in
+    yield from ask(squeezing_hand.HandWait(0.0))  # what the devices gave last is taken in
     yield from _tracked(observer)
     found.untracked, tracked = observer.tracking.failed, tuple(observer.tracking.found)
     try:
@@ -138,7 +131,7 @@ def feature_settings(setup: SqueezeSetup) -> dict[str, Any]:
 
 def recorded_settings(setup: SqueezeSetup) -> dict[str, Any]:
     """Settings that a recording needs so that its results can be computed again."""
-    recorded = {"names": dataclasses.asdict(setup.names), "rule": dataclasses.asdict(rule_of(setup))}
+    recorded = {"names": dataclasses.asdict(setup.names), "rule": dataclasses.asdict(squeezing_hand.rule_of(setup))}
     recorded |= {"squeeze": dataclasses.asdict(setup.squeeze), "features": feature_settings(setup)}
     return {"squeezed": recorded | {"geometry": SqueezeGeometry.of(setup).as_json()}, "simulated": setup.simulated}
 

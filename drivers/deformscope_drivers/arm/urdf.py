@@ -6,20 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from deformscope_drivers.arm.kinematics import (
-    Chain,
-    FloatArray,
-    Joint,
-    euler_xyz_from_rotation,
-    rotation_from_rpy,
-    transform,
-)
+from deformscope_drivers.arm import kinematics
 from deformscope_drivers.errors import DeviceError
 
 Vector3 = tuple[float, float, float]
 
 
-def chain_of_urdf(path: Path, tip: str, home_deg: tuple[float, ...]) -> Chain:
+def chain_of_urdf(path: Path, tip: str, home_deg: tuple[float, ...]) -> kinematics.Chain:
     """The joints from the root of a URDF to the link `tip`, the arm's end, as joints that turn about z.
 
     home_deg: angles of the joints at home. Raises DeviceError for a file that is no URDF, a link that it lacks, and
@@ -42,27 +35,27 @@ def chain_of_urdf(path: Path, tip: str, home_deg: tuple[float, ...]) -> Chain:
         joints, step = [], np.eye(4)
         for joint in reversed(way):
             kind, link = joint.attrib["type"], _value(joint, "child", "link")
-            turn = rotation_from_rpy(*_vector(joint, "origin", "rpy"))
-            step = step @ transform(turn, _vector(joint, "origin", "xyz"))
+            turn = kinematics.rotation_from_rpy(*_vector(joint, "origin", "rpy"))
+            step = step @ kinematics.transform(turn, _vector(joint, "origin", "xyz"))
             if kind == "fixed":
                 continue
             if kind not in ("revolute", "continuous") or joint.find("mimic") is not None:
                 came = f"{joint.attrib['name']}, {kind}"
                 raise DeviceError("joints that turn, none as another does", came, where=path)
-            turned = transform(_to_z(np.array(_vector(joint, "axis", "xyz", "1 0 0"))), (0.0, 0.0, 0.0))
+            turned = kinematics.transform(_to_z(np.array(_vector(joint, "axis", "xyz", "1 0 0"))), (0.0, 0.0, 0.0))
             low, high, fastest, torque = (
                 float(_value(joint, "limit", key, "0")) for key in ("lower", "upper", "velocity", "effort")
             )
             first, last = (None, None) if kind == "continuous" else (math.degrees(low), math.degrees(high))
             xyz_m, rpy_rad = xyz_rpy(step @ turned)
-            joints.append(Joint(xyz_m, rpy_rad, first, last, math.degrees(fastest), torque, masses[link]))
+            joints.append(kinematics.Joint(xyz_m, rpy_rad, first, last, math.degrees(fastest), torque, masses[link]))
             step = turned.T
     except OSError as error:
         raise DeviceError("a URDF that can be read", (error.strerror or "no file").lower(), where=path) from error
     except (ET.ParseError, KeyError, ValueError, AttributeError) as error:
         came = " ".join(str(error).split())
         raise DeviceError("a URDF: XML with named links and joints", came, where=path) from error
-    return Chain(robot.attrib.get("name", path.stem), tuple(joints), *xyz_rpy(step), home_deg)
+    return kinematics.Chain(robot.attrib.get("name", path.stem), tuple(joints), *xyz_rpy(step), home_deg)
 
 
 def _value(part: ET.Element, name: str, key: str, default: str = "") -> str:
@@ -75,7 +68,7 @@ def _vector(part: ET.Element, name: str, key: str, default: str = "0 0 0") -> Ve
     return x, y, z
 
 
-def _to_z(axis: FloatArray) -> FloatArray:
+def _to_z(axis: kinematics.FloatArray) -> kinematics.FloatArray:
     """(3, 3) whose third column is the direction of an axis (3,)."""
     along = axis / np.linalg.norm(axis)
     across = np.cross(along, np.eye(3)[int(np.argmin(np.abs(along)))])
@@ -83,7 +76,7 @@ def _to_z(axis: FloatArray) -> FloatArray:
     return np.column_stack([across, np.cross(along, across), along])
 
 
-def xyz_rpy(T: FloatArray) -> tuple[Vector3, Vector3]:
+def xyz_rpy(T: kinematics.FloatArray) -> tuple[Vector3, Vector3]:
     """Translation [m] and roll, pitch, yaw [rad] of a transform (4, 4)."""
-    (x, y, z), (roll, pitch, yaw) = T[:3, 3].tolist(), (-euler_xyz_from_rotation(T[:3, :3].T)).tolist()
+    (x, y, z), (roll, pitch, yaw) = T[:3, 3].tolist(), (-kinematics.euler_xyz_from_rotation(T[:3, :3].T)).tolist()
     return (x, y, z), (roll, pitch, yaw)

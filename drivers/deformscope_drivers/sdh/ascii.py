@@ -15,21 +15,7 @@ Source: ipab-slmc/SDHLibrary-CPP, sdh/sdhserial.cpp.
 import math
 import re
 
-from deformscope_drivers.sdh.codes import (
-    AXIS_COUNT,
-    CODES,
-    ERRORS,
-    INTEGER_COMMANDS,
-    MEASURED_COUNT,
-    TEXT_COMMANDS,
-    Command,
-    DebugLine,
-    ErrorReply,
-    Event,
-    Reading,
-    TextReply,
-    ValueReply,
-)
+from deformscope_drivers.sdh import codes
 
 LINE_MAX = 256  # of a line's text; the longest known is 85 bytes
 
@@ -50,13 +36,13 @@ class BadLine(ValueError):
         self.reason = reason
 
 
-def encode_command(command: Command) -> bytes:
+def encode_command(command: codes.Command) -> bytes:
     """The line of a command. Raises ValueError for a command outside the protocol; limits are not checked."""
     name, values, axis = command.name, command.values, command.axis
-    if name not in CODES:
+    if name not in codes.CODES:
         raise ValueError(f"the hand has no command {name!r}")
-    if axis is not None and not 0 <= axis < AXIS_COUNT:
-        raise ValueError(f"axes are 0 to {AXIS_COUNT - 1}, not {axis}")
+    if axis is not None and not 0 <= axis < codes.AXIS_COUNT:
+        raise ValueError(f"axes are 0 to {codes.AXIS_COUNT - 1}, not {axis}")
     if not all(math.isfinite(value) for value in values):
         raise ValueError(f"values must be finite: {values}")
     head = name if axis is None else f"{name}({axis})"
@@ -64,29 +50,29 @@ def encode_command(command: Command) -> bytes:
         return f"{head}\r\n".encode()
     if axis is not None and len(values) == 1:
         return f"{head}={values[0]:12.3f}\r\n".encode()
-    if name in INTEGER_COMMANDS:
+    if name in codes.INTEGER_COMMANDS:
         if len(values) != 1 or not float(values[0]).is_integer():
             raise ValueError(f"{name} takes one whole number, not {values}")
         return f"{head}={int(values[0])}\r\n".encode()
     return f"{head}={','.join(f'{value:f}' for value in values)}\r\n".encode()
 
 
-def decode_command(line: str) -> Command:
+def decode_command(line: str) -> codes.Command:
     """The host's command, decoded by the hand. Raises BadLine."""
     name, axis, text = _parts(line)
-    return Command(name, _numbers(text), axis)
+    return codes.Command(name, _numbers(text), axis)
 
 
-def encode_reply(event: Event) -> bytes:
+def encode_reply(event: codes.Event) -> bytes:
     """The hand's line. Decimals of measured and set values are not documented; whole numbers are sent as such."""
     match event:
-        case ErrorReply(code=code):
+        case codes.ErrorReply(code=code):
             return f"E{code}\r\n".encode()
-        case DebugLine(text=text):
+        case codes.DebugLine(text=text):
             return f"@{text}\r\n".encode()
-        case TextReply(name=name, text=text):
+        case codes.TextReply(name=name, text=text):
             return f"{name.upper()}={text}\r\n".encode()
-    name = event.quantity if isinstance(event, Reading) else event.name
+    name = event.quantity if isinstance(event, codes.Reading) else event.name
     head = name.upper() if event.axis is None else f"{name.upper()}({event.axis})"
     if not event.values:
         return f"{name if name == 'm' else head}\r\n".encode()
@@ -98,38 +84,38 @@ def _shown(name: str, index: int, value: float) -> str:
     """Settings from Schunk's examples: M=4.51, SELGRIP=0.0,1, GRIP=0.42,0.1, POWER=0,0,0,0,0,0,0."""
     if name in ("m", "get_duration", "grip") or (name == "selgrip" and index == 0):
         return str(round(value, 2))
-    if name in INTEGER_COMMANDS or name in ("state", "power", "ref", "pos_save", "numaxis"):
+    if name in codes.INTEGER_COMMANDS or name in ("state", "power", "ref", "pos_save", "numaxis"):
         return f"{value:.0f}"
     return f"{value:.2f}"
 
 
-def decode_reply(line: str) -> Event:
+def decode_reply(line: str) -> codes.Event:
     r"""Content of a line of the hand's; without \r and \n. Raises BadLine."""
     if line.startswith("@"):
-        return DebugLine(line[1:])
+        return codes.DebugLine(line[1:])
     if error := _ERROR.fullmatch(line):
-        if int(error[1]) >= len(ERRORS):
+        if int(error[1]) >= len(codes.ERRORS):
             raise BadLine("status")
-        return ErrorReply(int(error[1]))
+        return codes.ErrorReply(int(error[1]))
     name, axis, text = _parts(line)
     bare = "=" not in line
     if not bare and not line.startswith(name.upper()):
         raise BadLine("name")
     if bare and (name not in BARE_REPLIES or axis is not None):
         raise BadLine("line")
-    if name in TEXT_COMMANDS:
+    if name in codes.TEXT_COMMANDS:
         if axis is not None:
             raise BadLine("axis")
-        return TextReply(name, text)
+        return codes.TextReply(name, text)
     values = _numbers(text)
     if not bare and not values:
         raise BadLine("number")
-    expected = MEASURED_COUNT.get(name)
+    expected = codes.MEASURED_COUNT.get(name)
     if expected is None:
-        return ValueReply(name, values, axis)
+        return codes.ValueReply(name, values, axis)
     if len(values) != (expected if axis is None else 1):
         raise BadLine("count")
-    return Reading(name, values, axis)
+    return codes.Reading(name, values, axis)
 
 
 def _parts(line: str) -> tuple[str, int | None, str]:
@@ -137,10 +123,10 @@ def _parts(line: str) -> tuple[str, int | None, str]:
     if match is None:
         raise BadLine("line")
     name = match["name"].lower()
-    if name not in CODES or match["name"] not in (name, name.upper()):
+    if name not in codes.CODES or match["name"] not in (name, name.upper()):
         raise BadLine("name")
     axis = None if match["axis"] is None else int(match["axis"])
-    if axis is not None and axis >= AXIS_COUNT:
+    if axis is not None and axis >= codes.AXIS_COUNT:
         raise BadLine("axis")
     return name, axis, match["values"] or ""
 

@@ -13,18 +13,8 @@ from deformscope_drivers.errors import NotConnected, SettingsRefused
 from deformscope_drivers.health import Description, Identity, Link
 from deformscope_drivers.interface import FloatArray, Wrench
 from deformscope_drivers.transport import Transport, UdpTransport
+from deformscope_netft import protocol
 from deformscope_netft.config import HexConfig, NetftConfig
-from deformscope_netft.protocol import (
-    FILTERS_HZ,
-    MONITOR,
-    SATURATED,
-    WRAP,
-    Calibration,
-    Command,
-    Decoder,
-    Record,
-    request,
-)
 
 PAGE = "/netftapi2.xml"
 PAGE_BYTES, PAGE_S = 1 << 16, 2.0
@@ -55,22 +45,22 @@ class Measurer:
         self.lost = 0
         self.refused = ""
 
-    def learn(self, page: Calibration) -> None:
+    def learn(self, page: protocol.Calibration) -> None:
         """Take the sensor's own calibration, unless the configuration has one."""
         if not self._given:
             self._set(page.counts_per_n, page.counts_per_nm)
 
-    def measure(self, record: Record, host_ns: int) -> Wrench | None:
+    def measure(self, record: protocol.Record, host_ns: int) -> Wrench | None:
         """The reading of a record; None for one that is late, repeated or without a calibration."""
         number = record.rdt_sequence
-        step = 1 if self._last is None else (number - self._last) % WRAP
+        step = 1 if self._last is None else (number - self._last) % protocol.WRAP
         self.lost, self.refused = 0, ""
-        if step == 0 or step >= WRAP // 2:
+        if step == 0 or step >= protocol.WRAP // 2:
             if number in self._missing:
                 self._missing.remove(number)
                 self.lost, self.refused = -1, "late"  # it was counted as lost
                 return None
-            self._back_run = self._back_run + 1 if number == (self._back + 1) % WRAP else 1
+            self._back_run = self._back_run + 1 if number == (self._back + 1) % protocol.WRAP else 1
             self._back = number
             if self._back_run < AGAIN_RECORDS:
                 self.refused = "repeated"
@@ -84,14 +74,14 @@ class Measurer:
             self.refused = "no calibration"
             return None
         load = self.load(np.array(record.counts, float))
-        saturated = ("fx", "fy", "fz", "tx", "ty", "tz") if record.status & SATURATED else ()
+        saturated = ("fx", "fy", "fz", "tx", "ty", "tz") if record.status & protocol.SATURATED else ()
         return Wrench(
             Stamp(host_ns, record.ft_sequence),
             (record.counts,),
             load[None, :3],
             load[None, 3:],
             saturated,
-            not record.status & ~MONITOR,
+            not record.status & ~protocol.MONITOR,
         )
 
     def load(self, counts: FloatArray) -> FloatArray:
@@ -113,7 +103,7 @@ class NetftSensor(StreamDevice[Wrench]):
     ) -> None:
         self.config = config
         self._measurer = Measurer(config)
-        self._page: Calibration | None = None
+        self._page: protocol.Calibration | None = None
         self._networked = transport is None
         super().__init__(
             transport or UdpTransport(config.port),
@@ -136,29 +126,29 @@ class NetftSensor(StreamDevice[Wrench]):
 
     # What the base class asks for ------------------------------------------------------------------------------------
 
-    def _make_decoder(self) -> Decoder:
-        return Decoder()
+    def _make_decoder(self) -> protocol.Decoder:
+        return protocol.Decoder()
 
     def _start(self) -> None:
         self._measurer = Measurer(self.config)
         looks = self._networked and self._link is not Link.LOST
         if isinstance(self.config, NetftConfig) and (looks or self._wants_page(self.config)):
             self._read_page(self.config)
-        self._send(request(Command.STOP))
+        self._send(protocol.request(protocol.Command.STOP))
         self._transport.drain(ROUND_S, ROUND_S)
         if isinstance(self.config, HexConfig):
-            self._send(request(Command.SPEED, round(1000.0 / self.config.rate_hz)))
-            self._send(request(Command.FILTER, FILTERS_HZ.index(self.config.filter_hz)))
+            self._send(protocol.request(protocol.Command.SPEED, round(1000.0 / self.config.rate_hz)))
+            self._send(protocol.request(protocol.Command.FILTER, protocol.FILTERS_HZ.index(self.config.filter_hz)))
         self._clock_fit = ClockFit(1e9 / self.config.rate_hz)
         self._expect(self.config.rate_hz)
-        self._send(request(Command.STREAM))
+        self._send(protocol.request(protocol.Command.STREAM))
         self._next(1)
 
     def _stop(self) -> None:
-        self._send(request(Command.STOP))
+        self._send(protocol.request(protocol.Command.STOP))
 
-    def _measure(self, event: Record | Calibration, host_ns: int) -> Iterable[Wrench]:
-        if not isinstance(event, Record):
+    def _measure(self, event: protocol.Record | protocol.Calibration, host_ns: int) -> Iterable[Wrench]:
+        if not isinstance(event, protocol.Record):
             return []
         reading = self._measurer.measure(event, host_ns)
         if self._measurer.lost:
@@ -194,8 +184,8 @@ class NetftSensor(StreamDevice[Wrench]):
         finally:
             link.close()
         content = content.lstrip()
-        page = next(iter(Decoder().feed(content)), None) if content.startswith(b"<") else None
-        if not isinstance(page, Calibration):
+        page = next(iter(protocol.Decoder().feed(content)), None) if content.startswith(b"<") else None
+        if not isinstance(page, protocol.Calibration):
             if not self._wants_page(config):
                 return
             raise SettingsRefused("a page with counts per force and torque, and known units", "another", advice, where)
@@ -225,5 +215,5 @@ class NetftSensor(StreamDevice[Wrench]):
         if (varies > [STILL_N] * 3 + [STILL_NM] * 3).any():
             came = f"standard deviations of {np.array2string(varies, precision=3)} N and N m"
             raise SettingsRefused("a load at rest", came, "keep what touches the sensor at rest", self.name)
-        self._send(request(Command.BIAS, 255 if isinstance(self.config, HexConfig) else 0))
+        self._send(protocol.request(protocol.Command.BIAS, 255 if isinstance(self.config, HexConfig) else 0))
         self._next(STILL_READINGS)
