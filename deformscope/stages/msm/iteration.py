@@ -84,6 +84,7 @@ class Iteration:
         span.metric_total = float(rest.metric.sum()) or 1.0
         self.span = span
         self.state: Any
+        self.copies: Any = None  # of positions, for the body whose spacings these are
         self.pair, self.pair_out = self.layout.field(2 * body.dim), self.layout.field(2 * body.dim)
         self.u, self.direction = halves(self.pair)
         self.residual, self.changed = halves(self.pair_out)
@@ -92,6 +93,8 @@ class Iteration:
         self.parameters = Parameters(self.beta, self.theta, 0, volume)
         self._every_group = self.all_groups()
         self._graphs: dict[Any, Any] = {}
+        groups, on_gpu = self.layout.groups, self.kind != "cpu"
+        self._looked = wp.empty(groups, dtype=int, device="cpu", pinned=True) if on_gpu else None
         self._watch()
 
     def _watch(self, progress: Progress | None = None, until: float = math.inf) -> None:
@@ -114,7 +117,10 @@ class Iteration:
     def put(self, u: FloatArray) -> None:
         """Set the start to displacements (B or 1, K, d); the rounding error of a residual grows with them."""
         self.layout.put(u, self.u)
-        set_first(self.state.floor, ROUNDING[self.layout.scalar] * max(1.0, float(np.abs(u).max(initial=0.0))))
+        set_first(
+            self.state.floor,
+            ROUNDING[self.layout.scalar] * max(1.0, float(u.max(initial=0.0)), -float(u.min(initial=0.0))),
+        )
 
     def _numbers(self, struct: Any) -> Any:
         """A struct whose arrays have a number for each candidate, 0, of the type that it says."""
@@ -124,6 +130,14 @@ class Iteration:
             if dtype in (wp.int32, wp.float32, wp.float64):
                 setattr(state, name, self.layout.each(zero, int if dtype is wp.int32 else dtype))
         return state
+
+    def _any(self, flags: Field) -> bool:
+        """Whether any group is marked. On a GPU the look waits for the device, in memory that it writes directly."""
+        if self._looked is None:
+            return bool(flags.numpy().any())
+        wp.copy(self._looked, flags)
+        wp.synchronize_stream(wp.get_stream(self.layout.device))
+        return bool(self._looked.numpy().any())
 
     def _ended(self, state: Any, spent: IntArray) -> Ended:
         """How they ended. spent: (B,) evaluations before the state's own"""
@@ -216,7 +230,7 @@ class Newton(Iteration):
             state.z, state.along, state.plain, state.applied = grid.z, grid.along, grid.plain, grid.applied
         state.outer_groups, state.inner_groups = self.all_groups(), self.all_groups()
         self.state = state
-        self._free = rest.free
+        self._held = np.flatnonzero(~rest.free)
         self._kept = self.operator.kept(volume)
         self._stay: Any = None
 
@@ -246,7 +260,8 @@ class Newton(Iteration):
         spent = np.zeros(self.layout.candidates, dtype=int)
         if self.multigrid is not None:
             self.multigrid.reset()
-            if start is not None and start.any() and not start[:, self._free].any():
+            moved = 0 if start is None else np.count_nonzero(start)
+            if start is not None and moved and moved == np.count_nonzero(start[:, self._held]):
                 # where all the motion is still between two layers Newton's steps are short: begin at the static state
                 # of the equations linearised at rest
                 self.replay(self._launch_at_rest)
@@ -264,7 +279,7 @@ class Newton(Iteration):
             else:
                 self.replay(self._launch_outer)
                 done += 1
-            if self._over() or not state.outer_groups.numpy().any():
+            if self._over() or not self._any(state.outer_groups):
                 break
             if not self.threads:
                 done += self._descend(max_iterations - done)
@@ -296,14 +311,14 @@ class Newton(Iteration):
     def _descend(self, most: int) -> int:
         done = 0
         flags = self.state.inner_groups
-        while self.threads and done < most and flags.numpy().any() and not self._over():
+        while self.threads and done < most and self._any(flags) and not self._over():
             done += self._stay_for(most - done)
         inner, replays = self._launch_inner, REPLAYS[self.kind]
         if self.multigrid is not None and self.multigrid.given_up:
             inner = self._launch_plain
         elif self.multigrid is not None:
             replays = 1  # a cycle takes longer than a look
-        while done < most and flags.numpy().any() and not self._over():
+        while done < most and self._any(flags) and not self._over():
             for _ in range(replays):
                 self.replay(inner)
                 done += 1
@@ -408,13 +423,17 @@ class Anderson(Iteration):
         state.groups.fill_(1)
         done = 0
         size = self.layout.candidates
-        while done < max_iterations and state.groups.numpy().any():
+        while done < max_iterations and self._any(state.groups):
             for _ in range(min(REPLAYS[self.kind], max_iterations - done)):
                 self.replay(self._launch_goals)
                 done += 1
             if self._over():
                 break
         return self._ended(state, np.zeros(size, dtype=int))
+
+    def evaluate(self) -> None:
+        """The residual at `u`."""
+        self.operator.residual(self.u, self.residual, self.parameters, self._every_group)
 
     def _launch_goals(self) -> None:
         self.operator.residual(self.u, self.residual, self.parameters, self.state.groups)

@@ -238,7 +238,6 @@ class LatticeOperator(Operator):
             segments = (-(-grid.clusters_1 // run), -(-n[1] // run))
         grid.items_windows = n[0] * segments[0] * grid.blocks_windows
         grid.items_spread = n[0] * segments[1] * grid.blocks_spread
-        self.grid = grid
         d = body.dim
         fields = kk.Fields()
         fields.mass, fields.free, fields.pull = arrays.mass, arrays.free, arrays.pull
@@ -255,12 +254,19 @@ class LatticeOperator(Operator):
             self.threads = 1
         elif body.count <= RESIDENT_CELLS:  # else passes are launched one by one
             self.threads = THREADS[layout.scalar]
-        grid.run_back, grid.items_back = 1, grid.items_plane
+        self.grid = self._resident_grid = self._marching(grid, 1)
         if kk.whole:
-            grid.run_back = min(max(1, n[0] * grid.plane * layout.groups // FILL), MARCH)
-            if self.threads:
-                grid.run_back = -(-n[0] // max(1, self.threads // grid.plane))
-            grid.items_back = -(-n[0] // grid.run_back) * grid.plane
+            self.grid = self._marching(grid, min(max(1, n[0] * grid.plane * layout.groups // FILL), MARCH))
+            planes_at_once = max(1, self.threads // grid.plane)
+            self._resident_grid = self._marching(grid, -(-n[0] // planes_at_once))
+
+    def _marching(self, grid: Any, run: int) -> Any:
+        """The grid where a thread of `finish` over whole windows goes along `run` planes."""
+        found = self.arrays.functions.Grid()
+        found.assign(grid)
+        found.run_back = run
+        found.items_back = -(-grid.cells_0 // run) * grid.plane if self.looks_ahead else grid.items_plane
+        return found
 
     def residual(self, u: Field, out: Field, parameters: Parameters, running: Field, kept: object = None) -> None:
         self._launch_passes(self._passes(parameters, kept), running, u, u, u, out, changing=False)
@@ -317,7 +323,7 @@ class LatticeOperator(Operator):
     ) -> Any:
         """The command for evaluations of Newton's steps in one launch, up to a limit. newton, pairs: for its kernel"""
         passes = self._passes(parameters, kept)
-        passes.pair, passes.pair_out = pair, pair_out
+        passes.grid, passes.pair, passes.pair_out = self._resident_grid, pair, pair_out
         return self._stay(self.resident.relax, [passes, *newton, 0], record_cmd=True)
 
     def _stay(self, kernel: wp.Kernel, inputs: list[Any], *, record_cmd: bool = False) -> Any:
@@ -327,7 +333,9 @@ class LatticeOperator(Operator):
     @functools.cached_property
     def _stepping(self) -> Any:
         """Parameters of the steps, reused from call to call: making them takes as long as a short call's steps."""
-        return self._passes(None)
+        passes = self._passes(None)
+        passes.grid = self._resident_grid
+        return passes
 
     def _passes(self, parameters: Parameters | None, kept: object = None) -> Any:
         """Parameters of the passes, without motion. kept: place of the values for `change` (None: nowhere)"""

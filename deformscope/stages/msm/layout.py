@@ -108,6 +108,8 @@ class Layout:
             view = array.numpy()
             view[: len(values)] = values
             view[len(values) :] = values[-1]
+        elif (values == values[-1]).all():
+            array.fill_(values[-1])  # without a copy, for which the device would be waited for
         else:
             array.assign(self.each(values))
 
@@ -133,17 +135,24 @@ def upload(values: FloatArray | IntArray | BoolArray, dtype: type[Any], device: 
 
 
 class HostCopies:
-    """Float64 copies on the host of what a GPU packs, in pinned memory that is used again once an array is gone."""
+    """Float64 copies on the host of positions of particles, which a GPU packs, in pinned memory that is used again once
+    an array is gone. rest: (K, d)"""
 
     KEPT = 2
 
-    def __init__(self, size: int, device: str) -> None:
-        self._packed = wp.empty(size, dtype=wp.float64, device=device)
+    def __init__(self, layout: Layout, rest: FloatArray, scale: float) -> None:
+        self._layout, self._rest, self._scale = layout, rest, scale
+        if layout.there is not None:
+            self._packed = wp.empty(layout.candidates * rest.size, dtype=wp.float64, device=layout.device)
+            self._origin = upload(rest, wp.float64, layout.device)
         self._free: list[Field] = []
 
-    def take(self, layout: Layout, field: Field, rows: int, scale: float, origin: Field) -> FloatArray:
-        """(B, K, rows): origin (K, rows) + scale * the particles of a field."""
-        layout._pack(field, rows, self._packed, scale, origin)
+    def take(self, field: Field) -> FloatArray:
+        """(B, K, d): rest + scale * the particles of a field."""
+        layout, rows = self._layout, self._rest.shape[1]
+        if layout.there is None:
+            return self._rest + layout.get(field, rows) * self._scale
+        layout._pack(field, rows, self._packed, self._scale, self._origin)
         size = self._packed.shape[0]
         host = self._free.pop() if self._free else wp.empty(size, dtype=wp.float64, device="cpu", pinned=True)
         wp.copy(host, self._packed)

@@ -25,9 +25,15 @@ from scipy.spatial import cKDTree
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.stages.msm.body import Body, BodyRest, Parameters
 from deformscope.stages.msm.clusters import FLAT_MOMENT_RATIO, LatticeClusters
-from deformscope.stages.msm.lattice import RESIDENT_CELLS, LatticeBody
+from deformscope.stages.msm.lattice import FILL, RESIDENT_CELLS, LatticeBody
 from deformscope.stages.msm.layout import Field, Layout, upload
-from deformscope.stages.msm.multigrid_kernels import Cells, Transfer, smoother_for, transfer_kernels_for
+from deformscope.stages.msm.multigrid_kernels import (
+    Cells,
+    Transfer,
+    gather_kernel_for,
+    smoother_for,
+    transfer_kernels_for,
+)
 from deformscope.stages.msm.newton_functions import sum_functions_for
 
 Launch: TypeAlias = Callable[[], None]
@@ -218,6 +224,9 @@ class _Level:
         self.layout.refill(self.shrink, 1.0 / np.maximum(1.0, self.ratio * strain.max(axis=1)))
         self.layout.refill(self.parameters.theta, theta_own)
         stride = self.operator.beta_stride if beta.ndim > 1 else 0
+        if stride == self.parameters.beta_stride == 0:
+            self.layout.refill(self.parameters.beta, own)
+            return False
         values = self.operator.cluster_values(own) if stride else self.layout.each(own)
         if stride == self.parameters.beta_stride:
             self.parameters.beta.assign(values)
@@ -274,6 +283,7 @@ class Multigrid:
         """Between two levels: the residual for the coarse one, its correction back, and displacements to it."""
         device, rest = self.layout.device, coarse.rest
         to_fine = block_diag(rest.weights, format="csr")
+        to_fine.eliminate_zeros()
 
         def launch(weights: Any, source: _Level, target: _Level, fields: tuple[Any, ...], out: Field) -> Launch:
             """fields: two that are added, and the weights of the cells of source and target"""
@@ -294,9 +304,10 @@ class Multigrid:
                 return functools.partial(wp.launch, self.kernels.gather_planes, planes, inputs, [out], device=device)
             inputs, each_cell = [transfer, source.place, target.place, *given], target.body.count
             candidates = target.layout.groups * abreast
-            return functools.partial(
-                wp.launch, self.kernels.gather, (candidates, dim, each_cell), inputs, [out], device=device
-            )
+            rows_each = dim if candidates * each_cell >= FILL else 1  # a small lattice has threads to spare
+            kernel = gather_kernel_for(rows_each, int(np.diff(weights.indptr).max()))
+            threads = (candidates, dim // rows_each, each_cell)
+            return functools.partial(wp.launch, kernel, threads, inputs, [out], device=device)
 
         metric = coarse.operator.metric.numpy()[: coarse.body.count].astype(np.float64)
         by_metric = np.divide(fine.rest.affine / rest.affine, metric, out=np.zeros_like(metric), where=metric > 0)

@@ -37,6 +37,12 @@ class Transfer:
     weight: wp.array(dtype=wp.float32)
 
 
+@wp.func
+def at(place: Cells, candidate: int, cell: int):
+    group = candidate / place.abreast
+    return place.front + group * place.group + cell * place.abreast + candidate - group * place.abreast
+
+
 PLANE_C = """
     const int line = source.cells_2 * source.abreast, area = source.cells_1 * line;
     const int from = source.front + group * source.group + row * source.stride;
@@ -81,27 +87,14 @@ PLANE_C = """
 
 
 @functools.cache
-def transfer_kernels_for(dim: int, scalar: Any) -> SimpleNamespace:
-    """The kernels for fields of `dim` rows; `scalar` is that of the fields that are preconditioned."""
+def gather_kernel_for(rows_each: int, most: int) -> Any:
+    """The kernel of a transfer on a GPU, whose threads take `rows_each` rows of the fields: each plane of the target
+    has at most `most` planes of the source, which follow each other. Values along a line are loaded together, else a
+    small lattice waits for each."""
     numbers = wp.array(dtype=wp.float32)
-    kernel = kernel_in(f"transfer_{dim}d_{scalar.__name__}", wp.float32)
-
-    @wp.func
-    def at(place: Cells, candidate: int, cell: int):
-        group = candidate / place.abreast
-        return place.front + group * place.group + cell * place.abreast + candidate - group * place.abreast
-
-    def conversion(name: str, given: Any, wanted: Any) -> Any:
-        """The kernel that makes a field one of another type, for another layout."""
-
-        @kernel(name=name)
-        def convert(source: Cells, target: Cells, values: wp.array(dtype=given), out: wp.array(dtype=wanted)):
-            candidate, cell = wp.tid()
-            i, o = at(source, candidate, cell), at(target, candidate, cell)
-            for k in range(wp.static(dim)):
-                out[o + k * target.stride] = wanted(values[i + k * source.stride])
-
-        return convert
+    kernel = kernel_in(f"gather_{rows_each}_{most}", wp.float32)
+    weights = wp.types.vector(length=most, dtype=wp.float32)
+    rows = wp.types.vector(length=rows_each, dtype=wp.float32)
 
     @kernel
     def gather(
@@ -116,27 +109,58 @@ def transfer_kernels_for(dim: int, scalar: Any) -> SimpleNamespace:
         # Out:
         out: numbers,
     ):
-        candidate, row, cell = wp.tid()
+        candidate, part, cell = wp.tid()
         t0 = cell / (target.cells_1 * target.cells_2)
         rest = cell - t0 * target.cells_1 * target.cells_2
         t1 = target.cells_0 + rest / target.cells_2
         t2 = target.cells_0 + target.cells_1 + rest % target.cells_2
-        total = wp.float32(0.0)
+        total = rows()
         if target_weight[cell] > wp.float32(0.0):
-            # planes of the source follow each other: their numbers are not loaded one by one
-            c0 = transfer.begin[t2]
-            many = transfer.begin[t2 + 1] - c0
-            plane = transfer.plane[c0] - source.cells_0 - source.cells_1
+            begin = transfer.begin[t2]
+            end = transfer.begin[t2 + 1]
+            weight = weights()
+            for c in range(wp.static(most)):
+                weight[c] = wp.where(begin + c < end, transfer.weight[wp.min(begin + c, end - 1)], wp.float32(0.0))
+            begin_0 = transfer.begin[t0]
+            begin_1 = transfer.begin[t1]
+            first_0 = transfer.plane[begin_0] - begin_0
+            first_1 = transfer.plane[begin_1] - begin_1 - source.cells_0
+            first = transfer.plane[begin] - source.cells_0 - source.cells_1
             last = source.cells_2 - 1
-            for a in range(transfer.begin[t0], transfer.begin[t0 + 1]):
-                for b in range(transfer.begin[t1], transfer.begin[t1 + 1]):
-                    w1 = transfer.weight[a] * transfer.weight[b]
-                    line = (transfer.plane[a] * source.cells_1 + transfer.plane[b] - source.cells_0) * source.cells_2
-                    for c in range(many):
-                        own = line + wp.min(plane + c, last)
-                        i = at(source, candidate, own) + row * source.stride
-                        total += w1 * transfer.weight[c0 + c] * source_weight[own] * (values[i] + more[i])
-        out[at(target, candidate, cell) + row * target.stride] = target_weight[cell] * total
+            for a in range(begin_0, transfer.begin[t0 + 1]):
+                for b in range(begin_1, transfer.begin[t1 + 1]):
+                    both = transfer.weight[a] * transfer.weight[b]
+                    line = ((first_0 + a) * source.cells_1 + first_1 + b) * source.cells_2
+                    for c in range(wp.static(most)):
+                        own = line + wp.min(first + c, last)
+                        i = at(source, candidate, own) + part * wp.static(rows_each) * source.stride
+                        for k in range(wp.static(rows_each)):
+                            value = values[i + k * source.stride] + more[i + k * source.stride]
+                            total[k] += both * weight[c] * source_weight[own] * value
+        o = at(target, candidate, cell) + part * wp.static(rows_each) * target.stride
+        for k in range(wp.static(rows_each)):
+            out[o + k * target.stride] = target_weight[cell] * total[k]
+
+    return gather
+
+
+@functools.cache
+def transfer_kernels_for(dim: int, scalar: Any) -> SimpleNamespace:
+    """The kernels for fields of `dim` rows; `scalar` is that of the fields that are preconditioned."""
+    numbers = wp.array(dtype=wp.float32)
+    kernel = kernel_in(f"transfer_{dim}d_{scalar.__name__}", wp.float32)
+
+    def conversion(name: str, given: Any, wanted: Any) -> Any:
+        """The kernel that makes a field one of another type, for another layout."""
+
+        @kernel(name=name)
+        def convert(source: Cells, target: Cells, values: wp.array(dtype=given), out: wp.array(dtype=wanted)):
+            candidate, cell = wp.tid()
+            i, o = at(source, candidate, cell), at(target, candidate, cell)
+            for k in range(wp.static(dim)):
+                out[o + k * target.stride] = wanted(values[i + k * source.stride])
+
+        return convert
 
     @wp.func_native(PLANE_C)
     def one_plane(
@@ -159,7 +183,7 @@ def transfer_kernels_for(dim: int, scalar: Any) -> SimpleNamespace:
         transfer: Transfer,
         source: Cells,
         target: Cells,
-        # In: as `gather`, but weights of each candidate's cells; work: a plane and a line of the source
+        # In: as `gather_kernel_for`, but weights of each candidate's cells; work: a plane and a line of the source
         values: numbers,
         more: numbers,
         source_weight: numbers,
@@ -168,13 +192,13 @@ def transfer_kernels_for(dim: int, scalar: Any) -> SimpleNamespace:
         # Out:
         out: numbers,
     ):
-        """`gather` for a CPU: axis after axis, each over whole lines. Its threads follow each other: they share
+        """A transfer on a CPU: axis after axis, each over whole lines. Its threads follow each other: they share
         `work`."""
         group, row, plane = wp.tid()
         one_plane(transfer, source, target, group, row, plane, values, more, source_weight, target_weight, work, out)
 
     conversions = conversion("put_in", scalar, wp.float32), conversion("take_out", wp.float32, scalar)
-    return members(gather, gather_planes, *conversions)
+    return members(gather_planes, *conversions)
 
 
 @functools.cache

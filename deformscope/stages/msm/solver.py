@@ -284,7 +284,10 @@ class Msm:
         # a large lattice in float64, because float32 does not resolve its slow modes from rounding
         large = isinstance(self._body, LatticeBody) and len(self.rest) > multigrid.LEAST
         body = self._double if kind is Anderson or large else self._body
-        method = self._scratch.pop(key, None) or kind(body, self._particles, size, volume)
+        method = self._scratch.pop(key, None)
+        if method is None:
+            method = kind(body, self._particles, size, volume)
+            method.copies = HostCopies(method.layout, self.rest, self.scale)
         if size * len(self.rest) <= KEPT_NUMBERS:
             self._scratch[key] = method
             while len(self._scratch) > 4:
@@ -353,14 +356,18 @@ class Msm:
         for first in range(0, size, at_once):
             some = slice(first, min(first + at_once, size))
             count = some.stop - first
-            u = np.array(np.broadcast_to(origin[some] if len(origin) > 1 else origin, (count, *self.rest.shape)))
+            u = np.zeros((count, *self.rest.shape))
+            if start is not None:
+                u[:] = origin[some] if len(origin) > 1 else origin
             u[:, self.held] = held_u[some] if len(held_u) > 1 else held_u
             method = self._method(*self._kind(theta_b[some], count, volume))
             method.set(beta_b[some], theta_b[some])
             note = None if progress is None else lambda done, before=first: progress(before + done, size)
             ended = method.relax(u, share * self.extent / self.scale, most, note, until)
-            parts.append(self._relaxed(method.layout.get(method.u, self.dim), ended))
-        found = Relaxed(*(np.concatenate([getattr(part, name) for part in parts]) for name in Relaxed.__slots__))
+            parts.append(self._relaxed(method.copies.take(method.u), ended))
+        found = parts[0]
+        if len(parts) > 1:
+            found = Relaxed(*(np.concatenate([getattr(part, name) for part in parts]) for name in Relaxed.__slots__))
         if volume == "scale" and max_iterations is None:
             self._resume(found, held_position, beta_b, theta_b, start, share, progress, until)
         return found
@@ -419,10 +426,10 @@ class Msm:
             return Newton, size, NONE
         return (Newton if volume == "project" else Anderson), size, VOLUMES[volume]
 
-    def _relaxed(self, u: FloatArray, ended: Ended) -> Relaxed:
-        """The states at displacements (B, K, d) in particle spacings, in the unit of `rest`."""
+    def _relaxed(self, position: FloatArray, ended: Ended) -> Relaxed:
+        """The states at positions (B, K, d), in the unit of `rest`."""
         return Relaxed(
-            position=self.rest + u * self.scale,
+            position=position,
             residual=ended.norm * self.scale,
             error=ended.error * self.scale,
             iterations=ended.total,
@@ -489,13 +496,8 @@ class Msm:
 
     def positions(self, state: Moving) -> FloatArray:
         """Positions (B, K, d) of the particles of stepped bodies."""
-        if state.layout.there is None:
-            return self.rest + state.layout.get(state.u, self.dim) * self.scale
-        size, device = state.layout.candidates * self.rest.size, state.layout.device
-        copies, rest = state.kept(
-            ("copies",), lambda: (HostCopies(size, device), upload(self.rest, wp.float64, device))
-        )
-        return copies.take(state.layout, state.u, self.dim, self.scale, rest)  # type: ignore[no-any-return]
+        copies: HostCopies = state.kept(("copies",), lambda: HostCopies(state.layout, self.rest, self.scale))
+        return copies.take(state.u)
 
     def advance(
         self,

@@ -4,9 +4,13 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+import warp as wp
+from scipy.sparse import block_diag, csr_array
 
 from deformscope.stages.msm import lattice as lattice_module
 from deformscope.stages.msm.clusters import lattice
+from deformscope.stages.msm.layout import upload
+from deformscope.stages.msm.multigrid_kernels import Cells, Transfer, gather_kernel_for
 from deformscope.stages.msm.solver import Msm
 
 
@@ -64,3 +68,52 @@ def test_copied_positions_stay_as_they_are_while_any_part_of_them_is_in_use(devi
     for part, copied in kept:
         np.testing.assert_array_equal(part, copied)
     assert len({tuple(copied[-1]) for _part, copied in kept}) == 6  # it did move
+
+
+@pytest.mark.parametrize(("fine", "coarse"), [((7, 5, 9), (4, 3, 5)), ((6, 8), (3, 4)), ((1, 12, 5), (1, 6, 3))])
+def test_a_transfer_of_a_gpu_weighs_the_planes_of_each_axis(fine: tuple[int, ...], coarse: tuple[int, ...]) -> None:
+    rng = np.random.default_rng(4)
+    to_fine = [_hats(many, few) for many, few in zip(fine, coarse, strict=True)]
+    for matrices, source, target in ((to_fine, coarse, fine), ([each.T for each in to_fine], fine, coarse)):
+        values, more = rng.standard_normal((2, 3, *source))
+        source_weight, target_weight = rng.random(source), rng.random(target)
+        target_weight[target_weight < 0.3] = 0.0
+        expected = (values + more) * source_weight
+        for axis, matrix in enumerate(matrices):
+            expected = np.moveaxis(np.tensordot(matrix, expected, axes=(1, axis + 1)), 0, axis + 1)
+        found = _gathered(matrices, values, more, source_weight, target_weight)
+        np.testing.assert_allclose(found, expected * target_weight, atol=2e-6)
+
+
+def _hats(many: int, few: int) -> np.ndarray:
+    """(many, few): shares of the coarse places at each fine one, by linear interpolation."""
+    place = np.arange(many) * (few - 1) / max(many - 1, 1)
+    return np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(few)))
+
+
+def _gathered(matrices: list[np.ndarray], values: np.ndarray, more: np.ndarray, *weights: np.ndarray) -> np.ndarray:
+    """What the kernel makes of fields (3, *source)."""
+    both = block_diag([csr_array(each) for each in matrices], format="csr")
+    transfer = Transfer()
+    transfer.begin, transfer.plane = upload(both.indptr, int, "cpu"), upload(both.indices, int, "cpu")
+    transfer.weight = upload(both.data, wp.float32, "cpu")
+    if len(matrices) == 2:  # one plane along the first axis
+        return _gathered([np.ones((1, 1)), *matrices], values[:, None], more[:, None], *(w[None] for w in weights))[
+            :, 0
+        ]
+    places = []
+    for shape in (values.shape[1:], weights[1].shape):
+        place = Cells()
+        place.cells_0, place.cells_1, place.cells_2 = shape
+        place.abreast, place.group, place.stride = 1, int(np.prod(shape)), int(np.prod(shape))
+        places.append(place)
+    out = wp.zeros(3 * weights[1].size, dtype=wp.float32, device="cpu")
+    given = [upload(each, wp.float32, "cpu") for each in (values, more, *weights)]
+    most = int(np.diff(both.indptr).max())
+    found: list[np.ndarray] = []
+    for rows_each in (1, 3):
+        threads = (1, 3 // rows_each, weights[1].size)
+        wp.launch(gather_kernel_for(rows_each, most), threads, [transfer, *places, *given], [out], device="cpu")
+        found.append(out.numpy().reshape(3, *weights[1].shape).copy())
+    np.testing.assert_array_equal(found[0], found[1])
+    return found[0]
