@@ -18,11 +18,11 @@ from deformscope.config import flags
 from deformscope.pictures.figures import COLOURS, canvas, png_of
 from deformscope.pictures.report import Figure
 from deformscope.stages.msm.clusters import held_mask
-from deformscope.stages.msm.state_sweep import StateSweep
 from studies.output import dict_table
 from studies.reproduce.pressed_cubes import Cube, thesis_cubes
 from studies.reproduce.searches import SearchOutcome, compare_searches
 from studies.reproduce.shapes import BETAS, CUBE_BETA, HeldLattice, column, cube, sheet
+from studies.reproduce.state_sweep import StateSweep
 from studies.runner import Study, StudyOptions, StudyReport, Trials
 
 DPI = 140

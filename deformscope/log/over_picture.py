@@ -7,106 +7,30 @@ from functools import partial
 import cv2
 import numpy as np
 import rerun as rr
-import rerun.blueprint as rrb
 
 from deformscope.arrays import ImageArray
 from deformscope.frames import ColorFrame
 from deformscope.images import JPEG_QUALITY
-from deformscope.log.blueprint import PAPER
-from deformscope.log.canvas import LABEL, Canvas
+from deformscope.log.canvas import Canvas
 from deformscope.log.estimate import log_comparison, log_estimate
 from deformscope.log.findings import RigFindings, log_evidence, log_findings, log_numbers
 from deformscope.log.particles import log_flow, log_rest, log_tracked
 from deformscope.log.rig import Batch, prepare_items
-from deformscope.log.rig.blueprint import blueprint_of, rig_blueprint
+from deformscope.log.rig.blueprint import rig_blueprint
 from deformscope.log.rig.columns import frame_times, root
-from deformscope.log.views import ShownStage, Views, views_of
+from deformscope.log.views import OwnView, ShownStage, Views, views_of
 from deformscope.pictures.close_up import close_up
-from deformscope.pictures.palette import HELD, JOINTS, REST, SIMULATED
 from deformscope.pictures.report import Findings
 from deformscope.stages.fit.estimate import Comparison, Estimate
 from deformscope.stages.materials.axis_estimate import AxisEstimate
 from deformscope.stages.materials.field_estimate import FieldEstimate
 from deformscope.stages.materials.recovery import RecoveryEstimate
 from deformscope.stages.materials.yield_estimate import YieldEstimate
-from deformscope.stages.msm.state_sweep import StateSweep, StateSweeps
 from deformscope.stages.poke.certificate import RigBias
 from deformscope.stages.poke.indentation import IndentEstimate
 from deformscope.stages.see.flow import FlowField
 from deformscope.stages.see.particles import ParticleGrid, Tracked
 from deformscope.stages.see.triangulation import spacing_of
-
-# Effect of beta and theta on a body: its static states on timelines of the parameters
-
-GUIDE = """\
-### What beta and theta do
-
-Particles are held where they are yellow, come to rest where they are red, and were where they are green. Scrub the
-timeline **beta** or **theta**: the bottom left chooses it, and it counts hundredths (37 is 0.37). A body moves on the
-timeline that its view's title begins with, and rests on the other.
-"""
-STEPS = 100
-"""Steps of a parameter's timeline from 0 to 1, which counts whole steps."""
-FPS = 20.0
-UNIT_M, MARGIN = 0.01, 0.12
-"""Unit of the ruler [m]; margin around a body, as a share of its size."""
-
-
-def log_states(rec: rr.RecordingStream, states: StateSweeps) -> None:
-    """Each body's particles, net and number at each value of its parameter; on the other's timeline it rests."""
-    text = "\n".join([GUIDE, *(f"- {sweep.to_text()}" for sweep in states.sweeps)])
-    rec.log("guide", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
-    for number, sweep in enumerate(states.sweeps):
-        _log_sweep(rec, sweep)
-        rec.log(f"plot/{_path(sweep)}", rr.SeriesLines(names=sweep.name, colors=JOINTS[number]), static=True)
-    title = "; ".join({f"{sweep.over}: {sweep.measured}": None for sweep in states.sweeps})
-    legend = rrb.PlotLegend(corner=rrb.Corner2D.LeftBottom)
-    plot = rrb.TimeSeriesView(origin="/plot", name=title, plot_legend=legend)
-    guide = rrb.TextDocumentView(origin="/guide", name="What there is to see")
-    below = rrb.Horizontal(plot, guide, column_shares=[2, 1])
-    root = rrb.Vertical(rrb.Horizontal(*map(_view, states.sweeps)), below, row_shares=[3, 2])
-    rec.send_blueprint(blueprint_of(root, states.sweeps[0].over, play="paused", fps=FPS))
-
-
-def _path(sweep: StateSweep) -> str:
-    return f"{sweep.over}/{sweep.name.replace(', ', '-').replace(' ', '-')}"
-
-
-def _log_sweep(rec: rr.RecordingStream, sweep: StateSweep) -> None:
-    path, count = _path(sweep), len(sweep.value)
-    times = [rr.TimeColumn(sweep.over, sequence=np.round(STEPS * sweep.value).astype(np.int64))]
-    spacing = float(np.linalg.norm(sweep.rest[1, 0] - sweep.rest[0, 0]))
-    corner = sweep.rest.min(axis=(0, 1)) - [0.0, 1.2 * UNIT_M]
-    rec.log(path, rr.Transform3D(scale=[1.0, -1.0, 1.0]), static=True)  # views in the plane have y downwards
-    rec.log(f"{path}/rest", rr.Points2D(sweep.rest.reshape(-1, 2), radii=0.09 * spacing, colors=REST), static=True)
-    ruler = rr.LineStrips2D([[corner, (corner[0] + UNIT_M, corner[1])]], colors=(70, 75, 85), labels=["1 cm"])
-    rec.log(f"{path}/ruler", ruler, static=True)
-    for name, chosen, tint, share in (("particles", ~sweep.held, SIMULATED, 0.16), ("held", sweep.held, HELD, 0.2)):
-        rec.log(f"{path}/{name}", rr.Points2D.from_fields(colors=tint, radii=share * spacing), static=True)
-        places = sweep.position[:, chosen]
-        columns = rr.Points2D.columns(positions=places.reshape(-1, 2)).partition([places.shape[1]] * count)
-        rec.send_columns(f"{path}/{name}", times, columns)
-    rec.log(f"{path}/net", rr.LineStrips2D.from_fields(colors=SIMULATED, radii=0.03 * spacing), static=True)
-    strips = [strip for grid in sweep.position for strip in (*grid, *grid.swapaxes(0, 1))]
-    net = rr.LineStrips2D.columns(strips=strips).partition([sum(sweep.held.shape)] * count)
-    rec.send_columns(f"{path}/net", times, net)
-    rec.send_columns(f"plot/{path}", times, rr.Scalars.columns(scalars=sweep.measure))
-    words = [f"{sweep.over} {value:.2f}" for value in sweep.value]
-    at = (float(sweep.rest[..., 0].mean()), float(corner[1]) - UNIT_M)
-    rec.log(f"{path}/label", rr.Points2D.from_fields(colors=LABEL, radii=0.02 * spacing, show_labels=True), static=True)
-    rec.send_columns(f"{path}/label", times, rr.Points2D.columns(positions=[at] * count, labels=words))
-
-
-def _view(sweep: StateSweep) -> rrb.View:
-    every = np.concatenate([sweep.rest[None], sweep.position]).reshape(-1, 2)
-    every = np.vstack([every, every.min(axis=0) - [0.0, 3.0 * UNIT_M]]) * [1.0, -1.0]
-    low, high = every.min(axis=0), every.max(axis=0)
-    margin = MARGIN * float((high - low).max())
-    x_range, y_range = ([float(a) - margin, float(b) + margin] for a, b in zip(low, high, strict=True))
-    bounds = rrb.VisualBounds2D(x_range=x_range, y_range=y_range)
-    name, contents = f"{sweep.over}: {sweep.name}", [f"+ /{_path(sweep)}/**"]
-    return rrb.Spatial2DView(name=name, contents=contents, visual_bounds=bounds, background=PAPER)
-
 
 FLOW, PARTICLES, TRACKING, SIMULATION, ESTIMATE, FINDINGS = (
     ShownStage(name, 3, gives, entity=entity)
@@ -133,6 +57,9 @@ OF_APPLICATION: dict[str | None, tuple[type, ...]] = {
 def log_over_picture(rec: rr.RecordingStream, shown: Sequence[tuple[object, Canvas]]) -> None:
     """Log results at the stream's present time, each drawn for its canvas."""
     for result, canvas in shown:
+        if isinstance(result, OwnView):
+            result.log(rec)
+            continue
         for view in views_of(type(result), picture_views(canvas)):
             view(rec, result)
 
@@ -149,7 +76,6 @@ def picture_views(canvas: Canvas) -> Views[rr.RecordingStream]:
         Estimate: (ESTIMATE, partial(log_estimate, canvas=canvas)),
         Findings: (FINDINGS, findings),
         RigFindings: (FINDINGS, lambda rec, one: log_findings(rec, one.found, rig_blueprint(one.streams))),
-        StateSweeps: (ShownStage("states", 3, "static, over beta and theta (fig. 3.7)", entity="plot"), log_states),
         IndentEstimate: (CURVES, partial(log_numbers, canvas=canvas)),
         **dict.fromkeys((AxisEstimate, FieldEstimate, YieldEstimate, RecoveryEstimate, RigBias), numbers),
     }

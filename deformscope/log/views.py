@@ -1,6 +1,7 @@
 """The registry of views: for each type of result the logging function, and the stages that give it. Every
 recorded type has one, and all are looked up here."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias, TypeVar
@@ -46,6 +47,14 @@ def _holds(when: str, settings: Mapping[str, Any]) -> bool:
 
 Views: TypeAlias = Mapping[type, Sequence[ShownStage | View[SinkT]]]
 """For each type of result its stages, at least one, and its view; None if it is recorded and not shown."""
+
+
+class OwnView(ABC):
+    """A result that brings its view: that of a study, which no other recording holds."""
+
+    @abstractmethod
+    def log(self, rec: Any) -> None:
+        """Log it to a stream of rerun."""
 
 
 def views_of(kind: type, views: Views[SinkT]) -> Sequence[View[SinkT]]:

@@ -20,7 +20,6 @@ from deformscope.log.views import ShownStage, Views, stages_of
 from deformscope.recording.item_rows import read_rows
 from deformscope.recording.reader import Replay
 from deformscope.rows import ENTITIES
-from deformscope.stages.msm.state_sweep import StateSweeps
 
 PICTURES = (layout.IMAGES, layout.FLOW, layout.PAIR, layout.PAIR_3D, layout.FINDINGS)
 LIVE_MS = 1000.0
@@ -58,7 +57,6 @@ def registries() -> dict[str, Views[Any]]:
         EXPLORATION.name: exploration_views(0, None, CELL_M),
         SQUEEZE.name: squeeze_views(None),
         RIG.name: STAGE_VIEWS,
-        layout.FINDINGS.variant("shapes").name: {StateSweeps: over[StateSweeps]},
         **{one.name: {kind: over[kind] for kind in OF_APPLICATION[one.over_picture]} for one in PICTURES},
     }
 

@@ -17,7 +17,7 @@ from deformscope.pictures.report import Table
 from deformscope.session import with_costs
 from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.msm.reference import Basis
-from deformscope.stages.msm.state_sweep import StateSweep, StateSweeps
+from studies.reproduce.state_sweep import StateSweep, StateSweeps
 from studies.runner import Study, StudyOptions, StudyReport
 
 BETAS, THETAS = 0.01 * np.arange(100), 0.01 * np.arange(101)

@@ -7,7 +7,6 @@ import pytest
 from rerun.chunk import RrdReader
 
 from deformscope.arrays import FloatArray
-from deformscope.recording.stages import recorded_stages
 from deformscope.stages.msm import reference
 from studies.__main__ import main
 from studies.reproduce import shapes
@@ -37,15 +36,6 @@ def free(body: shapes.HeldLattice, position: FloatArray) -> FloatArray:
     """(n, 2) of the particles that are looked at and not held."""
     held = np.isin(np.arange(len(position)), body.seen.held)[:, None] * np.ones(position.shape[1])
     return body.side(position)[body.side(held)[..., 0] == 0]
-
-
-def test_the_list_of_stages_has_what_was_computed(recording: Path) -> None:
-    (states,) = recorded_stages(recording)
-    assert (states.name, states.entity, states.missing) == ("states", "plot", False)
-    assert states.timelines == ("beta", "theta")
-    assert states.rows == 3 * 100 + 101
-    assert states.computed == 1
-    assert states.cpu_ms > 0.0
 
 
 def test_the_sheet_stands_at_every_beta_as_an_independent_solve_has_it(recording: Path) -> None:
