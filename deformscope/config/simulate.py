@@ -51,7 +51,7 @@ class SimulateConfig(RecordedOptions):
     density: Annotated[float, flags.Rule(lambda value: value > 0.0, "a {flag} above 0")] = 100.0
     """Density [kg/m^3]: a simulator's contact can depend on it."""
     timestep_s: Annotated[float | None, flags.one_word("SECONDS", float), flags.unset, _step] = None
-    """Time step [s]; default: 0.005 for MuJoCo, 0.002 for Newton."""
+    """Time step [s]; default: 0.005 for MuJoCo, 0.001 for Newton."""
     limit_s: Annotated[float, flags.Rule(lambda value: value > 0.0, "a {flag} above 0")] = 1800.0
     """Time limit [s], after which the best fit so far is the result."""
     output: OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)

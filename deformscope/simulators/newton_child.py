@@ -11,7 +11,6 @@ solver is VBD. A tip is a static shape that is set deeper; `contact` is the stif
 force is the solver's own sum of these contacts. A step begins at `gravity * timestep^2` below the last one, and what
 its iterations do not take back remains, so that iterations are doubled until the force stays."""
 
-import itertools
 import json
 import os
 import sys
@@ -85,6 +84,11 @@ class PressedSlab:
         """(n, 3) the vertices [m]."""
         return self._now.particle_q.numpy().copy()  # else it changes with the next step
 
+    def put(self, place: Any) -> None:
+        """Set the vertices to these places [m], at rest."""
+        self._now.particle_q.assign(place.astype("float32"))
+        self._now.particle_qd.zero_()
+
     def top(self) -> float:
         """Height of the surface below the tip's axis [m]."""
         return float(self.place()[self._below, 2].max())
@@ -105,7 +109,7 @@ class PressedSlab:
         """Force along z [N] and penetration [m] where the tip's middle went from one height to another, and stays."""
         import numpy as np
 
-        for number in range(1, RAMP):
+        for number in range(1, RAMP if start != height else 0):
             self.step(start + (height - start) * number / RAMP)
         force, place = self.step(height), self.place()
         for _ in range(LONGEST // WINDOW):
@@ -125,29 +129,36 @@ class PressedSlab:
         return force, max(0.0, RADIUS_M - float(distance.min(initial=RADIUS_M)))
 
 
-def press(asked: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """Replies to a request to press, poke by poke."""
+def press(asked: dict[str, Any], known: dict[str, Any] = {}) -> Iterator[dict[str, Any]]:  # noqa: B006  # kept on purpose
+    """Replies to a request to press, poke by poke. known: iterations, and places at rest and at each depth, of a poke
+    when it was pressed before: with other parameters, the slab begins there."""
     import numpy as np
 
-    iterations = ITERATIONS
     for poke in asked["pokes"]:
-        slab = PressedSlab(asked, poke)
-        slab.solver.iterations = iterations
+        slab, name = PressedSlab(asked, poke), json.dumps([asked["asset"], asked["timestep_s"], poke])
+        away = slab.first[:, 2].max() + 2.0 * slab.above + GAP_M
+        slab.solver.iterations, places = known.get(name, (ITERATIONS, []))
         while True:
-            away = slab.first[:, 2].max() + 2.0 * slab.above + GAP_M
+            if places:
+                slab.put(places[0])
             slab.settle(away, away)  # under its own weight
             rest, touching = slab.place(), slab.top() + slab.above
-            began, slab.steps = time.perf_counter(), 0
-            heights = [touching - depth for depth in (0.0, *poke["depth_m"])]
-            found = [slab.settle(*one) for one in itertools.pairwise(heights)]
-            moved = slab.place() - rest
+            began, slab.steps, found, pressed = time.perf_counter(), 0, [], [rest]
+            for number, depth in enumerate(poke["depth_m"], start=1):
+                start = touching - (poke["depth_m"][number - 2] if number > 1 else 0.0)
+                if places:
+                    slab.put(rest + places[number] - places[0])
+                    start = touching - depth
+                found.append(slab.settle(start, touching - depth))
+                pressed.append(slab.place())
+            moved, places, iterations = pressed[-1] - rest, pressed, slab.solver.iterations
             seconds, steps = time.perf_counter() - began, slab.steps
             slab.solver.iterations *= 2
-            more = slab.settle(heights[-1], heights[-1])
+            more = slab.settle(touching - depth, touching - depth)
             residual = abs(more[0] / found[-1][0] - 1.0)
             if residual <= RESIDUAL or slab.solver.iterations > MOST:
                 break
-            iterations = slab.solver.iterations
+        known[name] = iterations, places
         if np.abs(moved).max() > FARTHEST * poke["depth_m"][-1]:
             raise ArithmeticError(f"the slab bursts with steps of {asked['timestep_s']:g} s")
         yield {

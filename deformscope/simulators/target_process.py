@@ -32,7 +32,7 @@ class Target:
 
 TARGETS = {
     "mujoco": Target("4.0.0", "mujoco==4.0.0", 0.005, 2.0, "/s^2"),
-    "newton": Target("1.8.0", "newton==1.8.0 usd-core==26.11 newton-usd-schemas==0.6.0", 0.002, 0.3, "N/m a vertex"),
+    "newton": Target("1.8.0", "newton==1.8.0 usd-core==26.11 newton-usd-schemas==0.6.0", 0.001, 0.3, "N/m a vertex"),
 }
 
 

@@ -187,7 +187,7 @@ def test_for_newton_the_body_is_a_usd_and_its_contact_a_stiffness_of_vertices(fo
     """The stand-in answers the same, so that the same modulus is needed; its static state took 7 steps at most."""
     assert main(command(folder, "--json", "-", target="newton", out="usd")) == 0
     told = json.loads(capsys.readouterr().out)
-    assert told["timestep_s"] == 0.002
+    assert told["timestep_s"] == 0.001
     assert told["static_state"] == {"steps": 7}
     assert told["needed"]["contact_unit"] == "N/m a vertex"
     text = (folder / "usd" / "slab.usda").read_text()

@@ -58,6 +58,23 @@ def test_the_modulus_in_the_file_is_replaced_and_the_sides_bulge(tmp_path: Path)
     assert (moved[side, 0] > 1e-5).all()
 
 
+def test_a_slab_that_was_pressed_before_answers_as_a_new_one_in_fewer_steps(tmp_path: Path) -> None:
+    """A fit presses the same pokes with parameters that change; each press begins where the last one ended."""
+    asset = write_body("newton", tmp_path, MESH, TargetParameters(1e4, 0.1, 1.0), 100.0, 0.001)
+    poke = {"at_m": [0.02, 0.02], "tip": "flat", "size_m": [0.024, 0.024], "slips": True, "depth_m": [0.0005, 0.001]}
+    asked: Json = {"do": "press", "asset": str(asset), "timestep_s": 0.001, "pokes": [poke]}
+    last = asked | {"parameters": {"young": 50e3, "poisson": 0.3, "contact": 2e4}}
+    with target_process("newton", Path(WITH_TARGETS)) as target:
+        list(target.ask(asked | {"parameters": {"young": 40e3, "poisson": 0.26, "contact": 3e4}}))
+        (warm,) = target.ask(last)
+    with target_process("newton", Path(WITH_TARGETS)) as target:
+        (new,) = target.ask(last)
+    assert warm["how"]["steps"] < 0.7 * new["how"]["steps"]
+    np.testing.assert_allclose(warm["force_n"], new["force_n"], rtol=2e-3)
+    np.testing.assert_allclose(warm["moved_m"], new["moved_m"], atol=2e-6)
+    np.testing.assert_allclose(warm["rest_m"], new["rest_m"], atol=2e-6)
+
+
 def test_steps_so_long_that_gravity_turns_cells_inside_out_are_an_error(tmp_path: Path) -> None:
     """Newton itself goes on with such cells without a word."""
     with pytest.raises(TargetFailed, match=r"inside out with steps of 0.1 s"):
