@@ -11,7 +11,7 @@ from deformscope.config.images import ParticleFlags
 from deformscope.config.options import CommandOptions, OutputOptions, RecordedOptions, ViewOptions
 from deformscope.errors import InputError
 
-StageWord = Literal["flow", "beta", "surface", "tactile", "contact"]
+StageWord = Literal["flow", "beta", "surface", "tactile", "contact", "wrench"]
 ExportFormat = Literal["csv", "parquet", "mcap", "video", "npz", "images"]
 
 

@@ -101,8 +101,8 @@ class ArmContact:
         return load_n
 
     def tool_load_n(self, weight_n: float) -> FloatArray:
-        """(3,) what a tool's weight [N] adds to `load`."""
-        return np.asarray(-weight_n * self._kinematic()[2, :3])
+        """(3,) what a tool's weight [N] adds to `load`: it pulls where it hangs."""
+        return np.asarray(weight_n * self._kinematic()[2, :3])
 
     def hit(self, force_n: npt.ArrayLike, duration_s: float) -> None:
         """From now on another object pushes the tip with this force (3,) [N] in the surface frame."""

@@ -16,6 +16,7 @@ from deformscope.rows import ENTITIES, OF_DEVICES, SERIES, from_components, from
 from deformscope.stages.fit.estimate import Estimate
 from deformscope.stages.fit.moment import MomentFit
 from deformscope.stages.map.exploration import StageFailure, SurfaceEstimate, TouchEstimate
+from deformscope.stages.poke.tip_wrench import TipWrench
 from deformscope.stages.see.arrows import FlowArrows
 from deformscope.stages.see.tactile import TactileContact
 
@@ -77,7 +78,9 @@ def read_streams(path: Path, *, trust: bool = False) -> tuple[Stream, ...]:
     return tuple(found[entity] for entity in sorted(found))
 
 
-KINDS: tuple[type, ...] = (*(FlowArrows, MomentFit, SurfaceEstimate, TactileContact, TouchEstimate, StageFailure),)
+KINDS: tuple[type, ...] = (
+    *(FlowArrows, MomentFit, SurfaceEstimate, TactileContact, TouchEstimate, TipWrench, StageFailure),
+)
 
 
 def read_stage_results(path: Path, *, trust: bool = False) -> list[StageResult]:

@@ -109,6 +109,7 @@ class Tool:
     weight_n: (3,) weight of all that the force sensor carries, in the base frame, which is taken out of its readings as
     the arm turns; weight_center_m: (3,) its centre of mass in the sensor's frame. `deformscope calibrate tool` measures
     both
+    sensor_m: (3,) origin of the force sensor's frame in that of the arm's end [m], about which its torques are
     """
 
     length_m: float = 0.1
@@ -125,6 +126,7 @@ class Tool:
     force_off_n: float = 0.0
     weight_n: tuple[float, float, float] | None = None
     weight_center_m: tuple[float, float, float] | None = None
+    sensor_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
         sections.check(0 <= self.length_m <= 1, "length_m between 0 and 1", self.length_m)
@@ -141,6 +143,7 @@ class Tool:
         sections.check(0.5 <= self.force_gain <= 2, "force_gain between 0.5 and 2", self.force_gain)
         weight_n = 0.0 if self.weight_n is None else math.hypot(*self.weight_n)
         sections.check(0 <= weight_n <= 100, "weight_n of 100 N or less", self.weight_n)
+        sections.check(math.hypot(*self.sensor_m) <= 1, "sensor_m within 1 m", self.sensor_m)
         known_to = self.force_gain_sd
         sections.check(known_to is None or 0 <= known_to <= 0.2, "force_gain_sd between 0 and 0.2", known_to)
         errors_n = self.force_noise_n, self.force_off_n

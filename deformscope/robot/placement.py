@@ -106,9 +106,10 @@ class Placement:
         )
 
     def weight_on_sensor_n(self, T_base_ee: FloatArray) -> FloatArray:
-        """(3,) what the weight of the tool adds to the sensor's forces, in its axes [N]; 0 where it is not known."""
+        """(3,) what the weight of the tool adds to the sensor's forces, in its axes [N]; 0 where it is not known.
+        A tool that hangs pulls at the sensor, which a tip that presses compresses."""
         weight_n = np.array(self.tool.weight_n or (0.0, 0.0, 0.0))
-        return np.asarray(weight_n @ (T_base_ee @ self.T_ee_center)[:3, :3] @ self._R_tip_force)
+        return np.asarray(-weight_n @ (T_base_ee @ self.T_ee_center)[:3, :3] @ self._R_tip_force)
 
     def T_base_ee(self, center_m: npt.ArrayLike, normal: npt.ArrayLike) -> FloatArray:
         """(..., 4, 4) the arm's end in the base frame with the tip's centre (..., 3) [m] here, stick along -normal

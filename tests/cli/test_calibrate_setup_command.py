@@ -143,9 +143,9 @@ def test_pushes_along_the_table_s_edges_and_a_weight_in_tilts(rig: Path) -> None
     axes = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0], [0, -1, 0]], float)
     pushed = np.array([felt(pose, 3.0 * placement.to_base(axis)) for axis in axes])
     poses = tilts()[1:]
-    hanging = np.array([0.2 + felt(one, -weight_n) for one in poses])
+    hanging = np.array([0.2 + felt(one, weight_n) for one in poses])
     time_s = np.arange(0.0, 8.0, 0.01)
-    rest = 0.2 + felt(pose, -weight_n) + 0.005 * np.random.default_rng(3).standard_normal((len(time_s), 3))
+    rest = 0.2 + felt(pose, weight_n) + 0.005 * np.random.default_rng(3).standard_normal((len(time_s), 3))
     found = solve_force(made, PushedTip(pose, ForceReadings(time_s, rest), pushed, axes, poses, hanging))
     assert found.found["R_tip_force"] == pytest.approx(mounted, abs=0.03)
     assert found.found["weight"].weight_n == pytest.approx(0.4, abs=0.02)
@@ -196,7 +196,7 @@ def test_a_tool_is_weighed_and_its_weight_taken_out_in_any_pose(rig: Path) -> No
     rig.write_text(rig.read_text() + "R_tip_force = [[0, 1, 0], [1, 0, 0], [0, 0, -1]]\n")
     R, weight_n, center_m = np.array([[0, 1, 0], [1, 0, 0], [0, 0, -1]]), np.array([0, 0, -1.5]), np.array([0, 0, 0.05])
     poses = tilts()
-    force_n = np.array([R.T @ pose[:3, :3].T @ weight_n for pose in poses])
+    force_n = np.array([-R.T @ pose[:3, :3].T @ weight_n for pose in poses])
     given = {"T_base_ee": poses, "force_n": force_n + 0.3, "torque_nm": np.cross(center_m, force_n) - 0.02}
     status, found = calibrate("tool", rig, **given)
     assert status == 0
@@ -208,5 +208,5 @@ def test_a_tool_is_weighed_and_its_weight_taken_out_in_any_pose(rig: Path) -> No
     assert 0 < made.calibrated.tool.half_weight_n < 0.05
     assert "tool" in made.calibrated.ages()
     other = rigid(Rotation.from_euler("xyz", [150, 30, 80], degrees=True).as_matrix(), (0.1, 0.2, 0.3))
-    felt_n = R.T @ other[:3, :3].T @ weight_n
+    felt_n = -R.T @ other[:3, :3].T @ weight_n
     np.testing.assert_allclose(Placement(np.eye(4), made.tool).weight_on_sensor_n(other), felt_n, atol=1e-3)

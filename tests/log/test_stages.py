@@ -18,6 +18,7 @@ from deformscope.recording.items import read_stage_results
 from deformscope.rows import FORMAT
 from deformscope.stages.fit.moment import MomentFit
 from deformscope.stages.map.exploration import StageFailure, SurfaceEstimate, TouchEstimate
+from deformscope.stages.poke.tip_wrench import TipWrench
 from deformscope.stages.see.arrows import FlowArrows
 from deformscope.stages.see.tactile import TactileContact, tactile_contact
 from tests.log.synthetic_exploration import bare_touch
@@ -30,11 +31,11 @@ STREAMS = (
     Stream("camera", "color", "webcam"),
     Stream("depth", "depth", "depth_camera", simulated=True),
     Stream("pads", "tactile", "dsa", pads=PADS, full_scale_pa=3000.0),
-    Stream("tip", "wrench", "optoforce"),
+    Stream("tip", "wrench", "netft", torques=True),
 )
 STAGES = (
     *((name, "camera") for name in ("flow", "beta")),
-    *(("surface", "depth"), ("tactile", "pads"), ("contact", "tip")),
+    *(("surface", "depth"), ("tactile", "pads"), ("contact", "tip"), ("wrench", "tip")),
 )
 
 
@@ -63,6 +64,8 @@ def results() -> list[StageResult]:
         ("tactile", "pads", tactile_contact([0 * felt, 0 * felt], [pad.texel_m for pad in PADS])),
         ("contact", "tip", touch()),
         ("flow", "camera", StageFailure("flow", 0, "too dark", "trace")),
+        ("wrench", "tip", TipWrench(np.array([0.0, 3.0, 4.0]), np.array([0.0, 0.0, 0.25]), np.zeros(3))),
+        ("wrench", "tip", TipWrench(np.array([0.0, 0.0, 2.0]), None, np.zeros(3))),
     ]  # fmt: skip
     return [
         StageResult(
@@ -146,6 +149,18 @@ def test_numbers_over_time_have_every_result_and_marks_may_be_the_newest_alone(t
     assert len(newest["/display/stage/beta/camera/observed"]) == 1
     assert len(every["/display/stage/surface"]) == len(every["/display/stage/contact"]) == 1
     assert [len(row["Points2D:positions"]) for row in every["/display/stage/beta/camera/held"]] == [2, 0]
+
+
+def test_force_and_torque_at_the_tip_are_over_time_and_a_torque_is_absent_from_three_axes(tmp_path: Path) -> None:
+    rows = written(tmp_path / "r.rrd", results())
+    plotted = {
+        quantity: [row["Scalars:scalars"] for row in rows[f"/display/stage/plot/{quantity}/tip"]]
+        for quantity in ("force", "torque")
+    }
+    assert plotted == {"force": [[0, 3, 4], [0, 0, 2]], "torque": [[0, 0, 0.25]]}
+    (first,), (last,) = (row["TextDocument:text"] for row in rows["/display/stage/summary"][-2:])
+    assert "| wrench | **5 N**, **0.25 N m** about the tip | tip 16 |" in first
+    assert "| wrench | **2 N**, no torque: three axes | tip 18 |" in last
 
 
 def test_the_table_keeps_the_newest_of_every_stage(tmp_path: Path) -> None:

@@ -205,7 +205,7 @@ def test_the_weight_of_the_tool_is_taken_out_as_the_arm_turns(known: bool) -> No
 
     def sensed(load_n: FloatArray, time_s: float) -> FloatArray:
         lab = labs[0]
-        return load_n + weight_n @ (lab.body.T_base_end_effector @ lab.placement.T_ee_center)[:3, :3]
+        return load_n - weight_n @ (lab.body.T_base_end_effector @ lab.placement.T_ee_center)[:3, :3]
 
     tool = Tool(weight_n=tuple(weight_n.tolist()) if known else None)
     labs.append(TouchLab(Nothing(), tool=tool, sensed=sensed))

@@ -15,13 +15,26 @@ from threadpoolctl import threadpool_limits
 from deformscope.arrays import FloatArray, ImageArray, IntArray
 from deformscope.errors import InputError
 from deformscope.experiments.fit.foam_video import ParticleOptions, hold_what_is_seen, observe
-from deformscope.frames import ArmFrame, ColorFrame, DepthFrame, Frame, Item, Kind, Stream, TactileFrame, WrenchFrame
+from deformscope.frames import (
+    ArmFrame,
+    ColorFrame,
+    DepthFrame,
+    Frame,
+    Item,
+    Kind,
+    SessionNote,
+    Stream,
+    TactileFrame,
+    WrenchFrame,
+)
 from deformscope.rig.rig_file import Rig
+from deformscope.robot.placement import Placement
 from deformscope.stages.fit.calibrate import FitOptions, Model, calibrate
 from deformscope.stages.fit.moment import MomentFit
 from deformscope.stages.map.exploration import SurfaceEstimate, TouchEstimate
 from deformscope.stages.map.surface import fit_surface
 from deformscope.stages.poke.contact import ArmCompliance, TipKind, fit_approach, fitted_law
+from deformscope.stages.poke.tip_wrench import CarriedTool, SensorWindow, TipWrench, tip_wrench
 from deformscope.stages.regions.touches import MapGrid
 from deformscope.stages.see.arrows import FlowArrows, flow_arrows, region_of
 from deformscope.stages.see.cloud import Box, Intrinsics, perceive
@@ -30,7 +43,7 @@ from deformscope.stages.see.particles import ParticleGrid, Tracked, advance, see
 from deformscope.stages.see.tactile import TactileContact, tactile_contact
 from deformscope_drivers.arm.kinematics import rotation_from_euler_xyz
 
-StageName = Literal["flow", "beta", "surface", "tactile", "contact"]
+StageName = Literal["flow", "beta", "surface", "tactile", "contact", "wrench"]
 """Stages that run while a rig is recorded or shown."""
 
 PARTICLES_ALONG = 9
@@ -52,6 +65,12 @@ BEFORE_S, LONGEST_S = 0.5, 8.0
 ALONG_WAY = 0.5
 """Least share of the force along the arm's way: the angle between them is below 60 degrees. An arm that moves through
 the air while its sensor is pressed, as on `lab:bench`, gives no stiffness."""
+ZERO_NS, HALF_NS = 250_000_000, 60_000_000
+"""Time in free air that gives the zero of a force at the tip, and half the window of arm states around a reading: in
+0.12 s a pose known to 20 um gives an acceleration within 20 mm/s2 at 125 Hz. A shorter one is noisier by its power of
+2.5, a longer one misses a faster motion."""
+MOST_WAITING = 10_000
+"""Readings, and states of the arm, that wait for a slow computation: 10 s."""
 FOLLOW = 0.01
 """Share by which the force without contact follows each reading."""
 
@@ -70,7 +89,8 @@ class LiveOptions:
     T_ee_tip: (4, 4) the tool's tip, whose z axis points at the pressed surface, to the arm's end [m]
     R_tip_force: (3, 3) forces in the sensor's axes to the tip's, over the sensor's gain; empty = the same
     tip: its shape; set_force_n: force at which stiffness is reported; compliance_m_per_n, compliance_sd: the arm's
-    compliance and its deviation [m/N]"""
+    compliance and its deviation [m/N]
+    T_ee_center: (4, 4) middle of the tip to the arm's end [m]; weight_n, weight_center_m, sensor_m: as in `Tool`"""
 
     names: tuple[StageName, ...] = ()
     color: str = ""
@@ -94,6 +114,10 @@ class LiveOptions:
     compliance_m_per_n: float = 0.0
     compliance_sd: float = 0.0
     tip: TipKind = "sphere"
+    T_ee_center: tuple[tuple[float, ...], ...] = ()
+    weight_n: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    weight_center_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    sensor_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 NEEDS: dict[StageName, tuple[Kind, ...]] = {
@@ -102,6 +126,7 @@ NEEDS: dict[StageName, tuple[Kind, ...]] = {
     "surface": ("depth",),
     "tactile": ("tactile",),
     "contact": ("wrench", "arm"),
+    "wrench": ("wrench", "arm"),
 }
 """The kinds of devices whose frames a stage uses; its results belong to the first."""
 REFERENCE: dict[str, Literal["first", "previous"]] = {"flow": "previous", "beta": "first"}
@@ -131,7 +156,10 @@ def for_rig(options: LiveOptions, rig: Rig, streams: Sequence[Stream] = ()) -> L
         found |= {"focal_px": camera.focal_px, "center_px": camera.center_px, "distortion": camera.distortion}
         found |= {"T_surface_camera": tuple(map(tuple, T_surface_camera.tolist()))}
         found |= {"size_m": rig.surface.size_m, "thickness_m": rig.surface.top_m}
-    if "contact" in options.names:
+    if {"contact", "wrench"} & set(options.names):
+        found["T_ee_center"] = tuple(map(tuple, Placement(np.eye(4), tool).T_ee_center.tolist()))
+        found |= {"weight_n": tool.weight_n or (0.0, 0.0, 0.0), "sensor_m": tool.sensor_m}
+        found["weight_center_m"] = tool.weight_center_m or (0.0, 0.0, 0.0)
         along = np.eye(4)
         along[2, 3] = tool.length_m
         found |= {"T_ee_tip": tool.T_ee_tip or tuple(map(tuple, along.tolist())), "tip": tool.tip}
@@ -179,6 +207,8 @@ class Stage:
         """Selects its frames from all items."""
         if self.name == "contact":
             return ApproachChooser(self.options.wrench, self.options.arm)
+        if self.name == "wrench":
+            return WrenchChooser(self.options.wrench, self.options.arm)
         return NewestFrame(self.device, REFERENCE.get(self.name, ""))
 
     def packed(self, frames: Sequence[Frame]) -> Any:
@@ -399,6 +429,101 @@ class ApproachChooser:
         return ended
 
 
+class WrenchChooser:
+    """The newest reading with states of the arm on both sides, besides those of the first ZERO_NS, in free air. A tare
+    of the sensor begins anew."""
+
+    def __init__(self, wrench: str, arm: str) -> None:
+        self.skipped = 0
+        self._wrench, self._arm = wrench, arm
+        self._free: list[Frame] = []
+        self._arms: deque[ArmFrame] = deque(maxlen=MOST_WAITING)
+        self._readings: deque[WrenchFrame] = deque(maxlen=MOST_WAITING)
+        self._since_ns = 0
+
+    @property
+    def lacks(self) -> str:
+        return f"no force of {self._wrench} in {1e-9 * ZERO_NS:g} s of states of {self._arm}"
+
+    def see(self, item: Item) -> None:
+        if isinstance(item, SessionNote) and item.about == "tare" and item.text == self._wrench:
+            self._free, self._since_ns = [], 0
+            self._arms.clear()
+            self._readings.clear()
+        elif isinstance(item, ArmFrame) and item.device == self._arm and np.isfinite(item.position_m).all():
+            self._arms.append(item)
+            self._since_ns = self._since_ns or item.stamp.host_ns
+        elif isinstance(item, WrenchFrame) and item.device == self._wrench and np.isfinite(item.force_n[0]).all():
+            self._readings.append(item)
+
+    def take(self) -> tuple[Frame, ...] | None:
+        if not self._arms:
+            return None
+        newest_ns, since_ns = self._arms[-1].stamp.host_ns, self._since_ns
+        if not self._free:
+            if newest_ns < since_ns + ZERO_NS + HALF_NS or not self._readings:
+                return None
+            readings = [one for one in self._readings if 0 <= one.stamp.host_ns - since_ns <= ZERO_NS]
+            arms = [one for one in self._arms if one.stamp.host_ns <= since_ns + ZERO_NS]
+            if not readings:
+                self._since_ns = 0
+                return None
+            self._free = [*arms, *readings]
+        ready = [
+            one for one in self._readings if since_ns + ZERO_NS + HALF_NS < one.stamp.host_ns <= newest_ns - HALF_NS
+        ]
+        if not ready:
+            return None
+        now = ready[-1]
+        while self._readings and self._readings[0].stamp.host_ns <= now.stamp.host_ns:
+            self._readings.popleft()
+        while self._arms[0].stamp.host_ns < now.stamp.host_ns - HALF_NS:
+            self._arms.popleft()
+        self.skipped += len(ready) - 1
+        around = [one for one in self._arms if one.stamp.host_ns <= now.stamp.host_ns + HALF_NS]
+        return (*self._free, *around, now)
+
+
+def _wrench_windows(frames: Sequence[Frame]) -> tuple[SensorWindow, SensorWindow]:
+    """The window of free air, and that of the last reading."""
+    now = cast(WrenchFrame, frames[-1])
+    arms = [frame for frame in frames if isinstance(frame, ArmFrame)]
+    free = [frame for frame in frames[:-1] if isinstance(frame, WrenchFrame)]
+    last_ns = now.stamp.host_ns - HALF_NS
+    middle_ns = (free[0].stamp.host_ns + free[-1].stamp.host_ns) // 2
+    return (
+        _window([one for one in arms if one.stamp.host_ns < last_ns], free, middle_ns),
+        _window([one for one in arms if one.stamp.host_ns >= last_ns], [now], now.stamp.host_ns),
+    )
+
+
+def _window(arms: Sequence[ArmFrame], readings: Sequence[WrenchFrame], at_ns: int) -> SensorWindow:
+    torques_nm = [one.torque_nm[0] for one in readings if one.torque_nm is not None]
+    return SensorWindow(
+        np.array([1e-9 * (one.stamp.host_ns - at_ns) for one in arms]),
+        np.array([one.position_m for one in arms]).reshape(-1, 3),
+        np.array([rotation_from_euler_xyz(*one.rotation_rad.tolist()) for one in arms]).reshape(-1, 3, 3),
+        np.mean([one.force_n[0] for one in readings], axis=0),
+        np.mean(torques_nm, axis=0) if torques_nm else None,
+    )
+
+
+def _tip_wrench(stage: Stage, packed: Any) -> TipWrench:
+    """Force and torque of the tip on the world, without weight and motion of the tool."""
+    options = stage.options
+    turn = np.array(options.R_tip_force) if options.R_tip_force else np.eye(3)
+    gain = 1.0 / float(np.linalg.norm(turn[0]))
+    tool = CarriedTool(
+        np.array(options.T_ee_center),
+        np.array(options.sensor_m),
+        gain * turn,
+        np.array(options.weight_n),
+        np.array(options.weight_center_m),
+    )
+    free, now = packed
+    return tip_wrench(free, now, tool, gain)
+
+
 def _approach(frames: Sequence[Frame]) -> ApproachReadings:
     arms = [frame for frame in frames if isinstance(frame, ArmFrame)]
     forces = [frame for frame in frames if isinstance(frame, WrenchFrame)]
@@ -470,6 +595,7 @@ STAGES: dict[StageName, tuple[Callable[[Sequence[Frame]], Any], Callable[[Stage,
     "surface": (_depth, _surface),
     "tactile": (lambda frames: cast(TactileFrame, frames[-1]).pressure_pa, _tactile),
     "contact": (_approach, _contact),
+    "wrench": (_wrench_windows, _tip_wrench),
 }
 """The stages' inputs, from their frames, and their computations."""
 

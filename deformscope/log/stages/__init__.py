@@ -4,7 +4,7 @@ A result has the time, and the place on `frame`, of the newest frame from which 
 
     stage/NAME/DEVICE            one row a result: every field of it, the frames it used, how many were passed over
     display/stage/NAME/... views: marks over the image, pictures, the verdict as text
-    display/stage/plot/...       numbers over time: lag [ms], beta, force [N], area [cm2]
+    display/stage/plot/...       numbers over time: lag [ms], beta, force [N], area [cm2], torque [N m]
     display/tactile/DEVICE/contact   the centres of pressure, on the picture of the hand
     display/stage/summary        a table: newest results, how many, how far behind"""
 
@@ -15,12 +15,21 @@ import rerun as rr
 
 from deformscope.frames import StageResult, Stream
 from deformscope.log.rig.columns import Batch, log_series, moments, recorded, root, scalars
-from deformscope.log.stages.over_image import PLOTS, WORDS, StageGroup, log_flow_arrows, log_moments, log_pads
+from deformscope.log.stages.over_image import (
+    PLOTS,
+    WORDS,
+    StageGroup,
+    log_flow_arrows,
+    log_moments,
+    log_pads,
+    log_wrench,
+)
 from deformscope.log.views import SOMETIMES, ShownStage, Views, views_of
 from deformscope.pictures.exploration import force_png, height_png
-from deformscope.pictures.palette import JOINTS, tints_of
+from deformscope.pictures.palette import AXES, JOINTS, tints_of
 from deformscope.stages.fit.moment import MomentFit
 from deformscope.stages.map.exploration import StageFailure, SurfaceEstimate, TouchEstimate
+from deformscope.stages.poke.tip_wrench import TipWrench
 from deformscope.stages.see.arrows import FlowArrows
 from deformscope.stages.see.tactile import TactileContact
 
@@ -32,6 +41,9 @@ def log_stage_streams(rec: rr.RecordingStream, stages: Sequence[tuple[str, str]]
         if name == "beta":
             names = ["lower end", name, "upper end"]
             log_series(rec, f"{PLOTS}/beta", names, [(120, 120, 130), (235, 45, 45), (120, 120, 130)])
+        if name == "wrench":
+            log_series(rec, f"{PLOTS}/force/{device}", [f"F{axis} [N]" for axis in "xyz"], AXES)
+            log_series(rec, f"{PLOTS}/torque/{device}", [f"M{axis} [N m]" for axis in "xyz"], AXES)
         if name == "tactile":
             pads = next(one.pads for one in streams if (one.kind, one.device) == ("tactile", device))
             for quantity, unit in (("force", "N"), ("area", "cm2")):
@@ -95,7 +107,7 @@ def _log_pictures(batch: Batch, group: StageGroup, stage: str, draw: Callable[..
     batch.send_columns(f"display/stage/{stage}", times, columns)
 
 
-FLOW, BETA, TACTILE, SURFACE, CONTACT = (
+FLOW, BETA, TACTILE, SURFACE, CONTACT, WRENCH = (
     ShownStage(name, chapter, gives, entity=f"stage/{name}", field=field, when=f"stages.names={name}")
     for name, chapter, gives, field in (
         ("flow", 3, "optical flow between the images used", "flow_px"),
@@ -103,6 +115,7 @@ FLOW, BETA, TACTILE, SURFACE, CONTACT = (
         ("tactile", 2, "force, area and centre of pressure of each pad", "force_n"),
         ("surface", 4, "its height and deviation (eq. 4.3, 4.4)", "height_m"),
         ("contact", 4, "force over depth of an approach", "approach_m"),
+        ("wrench", 4, "force and torque at the tip", "force_n"),
     )
 )
 STAGE_VIEWS: Views[Batch] = {
@@ -111,6 +124,7 @@ STAGE_VIEWS: Views[Batch] = {
     TactileContact: (TACTILE, log_pads),
     SurfaceEstimate: (SURFACE, lambda batch, group: _log_pictures(batch, group, "surface", height_png)),
     TouchEstimate: (CONTACT, lambda batch, group: _log_pictures(batch, group, "contact", force_png, "Approach")),
+    TipWrench: (WRENCH, log_wrench),
     StageFailure: (ShownStage("failed", 0, "a stage that failed", entity="stage", field="reason", when=SOMETIMES),),
 }
 """The view of the results of each type, those of one device together (`StageGroup`); a failure is in the table."""
@@ -145,6 +159,11 @@ def format_result(result: object) -> str:
         case SurfaceEstimate():
             middle_mm, deviation_mm = np.median(result.height_m) * 1e3, np.median(result.deviation_m) * 1e3
             return f"median height {middle_mm:.4g} mm, deviation {deviation_mm:.2g} mm, {len(result.points_m)} points"
+        case TipWrench():
+            torque = (
+                "" if result.torque_nm is None else f", **{np.linalg.norm(result.torque_nm):.3g} N m** about the tip"
+            )
+            return f"**{np.linalg.norm(result.force_n):.3g} N**{torque or ', no torque: three axes'}"
         case TouchEstimate():
             return result.stiffness_text
     raise TypeError(f"no text for a {type(result).__name__}")

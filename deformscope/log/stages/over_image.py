@@ -1,5 +1,5 @@
 """Results of stages as marks: flow and particles over the image that they were found in; centres of pressure on
-the picture of the hand, with force and contact area of each pad over time."""
+the picture of the hand, with force and contact area of each pad over time; force and torque at the tip over time."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -129,6 +129,15 @@ def log_pads(batch: Batch, group: StageGroup) -> None:
     batch.send_columns(root("display/tactile", group.device, "contact"), times, columns)
 
 
+def log_wrench(batch: Batch, group: StageGroup) -> None:
+    for quantity in ("force_n", "torque_nm"):
+        known = [one for one in group.results if getattr(one.result, quantity) is not None]
+        if known:
+            times = moments([one.host_ns for one in known], group.start_ns)
+            values = scalars([getattr(one.result, quantity) for one in known])
+            batch.send_columns(f"{PLOTS}/{quantity.split('_')[0]}/{group.device}", times, values)
+
+
 # The views of stages: each result on its frames; numbers over time; lag and text
 
 PLOTS = "display/stage/plot"
@@ -153,6 +162,11 @@ def stage_blueprint(stages: Sequence[tuple[str, str]], streams: Sequence[Stream]
             pictures.append(tactile_view(stream))
             plots.append(plot_view(f"{PLOTS}/force/{device}", f"{device}: force [N]{simulated}"))
             plots.append(plot_view(f"{PLOTS}/area/{device}", f"{device}: contact area [cm2]{simulated}"))
+            continue
+        if name == "wrench":
+            plots.append(plot_view(f"{PLOTS}/force/{device}", f"{device}: force at the tip [N]{simulated}"))
+            if stream.torques:
+                plots.append(plot_view(f"{PLOTS}/torque/{device}", f"{device}: torque at the tip [N m]{simulated}"))
             continue
         title = TITLES[name].format(device) + simulated
         if name in OVER_IMAGE:

@@ -256,10 +256,10 @@ class HangingWeight:
 def hanging_weight(force_n: FloatArray, R_base_tip: FloatArray, R_tip_force: FloatArray) -> HangingWeight:
     """The weight on the sensor, from mean readings (n, 3) [N] with the tip turned as R_base_tip (n, 3, 3).
 
-    A load on the sensor pulls it as the tip pushes the world: f = b + R_tip_force^T R_base_tip^T w. Raises InputError
-    for poses that are turned too little."""
+    A load that hangs pulls at the sensor, which a tip that presses compresses: f = b - R_tip_force^T R_base_tip^T w.
+    Raises InputError for poses that are turned too little."""
     force = np.asarray(force_n, np.float64)
-    turns = np.swapaxes(np.asarray(R_base_tip, np.float64) @ np.asarray(R_tip_force, np.float64), -1, -2)
+    turns = -np.swapaxes(np.asarray(R_base_tip, np.float64) @ np.asarray(R_tip_force, np.float64), -1, -2)
     if len(force) < 3 or spread(turns) < LEAST_TURN:
         came = f"{len(force)} poses that are turned too little"
         raise InputError("three poses or more, tilted by 20 degrees", came, "tilt the stick left, right and away")
@@ -303,7 +303,7 @@ def tool_load(
         raise InputError("forces of one weight", came, "deformscope calibrate force RIG first, and poses in free air")
     if torque_nm is None:
         return ToolLoad(weight)
-    turns = np.swapaxes(np.asarray(R_base_tip @ R_tip_force, np.float64), -1, -2)
+    turns = -np.swapaxes(np.asarray(R_base_tip @ R_tip_force, np.float64), -1, -2)
     levers = -_crossed(turns @ (weight.weight_n * weight.down))  # c x f, as a matrix of c
     design = np.concatenate([np.broadcast_to(np.eye(3), levers.shape), levers], axis=2).reshape(-1, 6)
     inverse = np.linalg.inv(design.T @ design)

@@ -113,7 +113,7 @@ def test_a_hanging_weight_is_found_from_free_air_in_some_poses() -> None:
     down_n = np.array([0.0, 0.0, -0.35])
     hits = 0
     for _ in range(DRAWS):
-        felt = np.array([0.1, -0.2, 0.3]) + np.array([R.T @ turn.T @ down_n for turn in turns])
+        felt = np.array([0.1, -0.2, 0.3]) - np.array([R.T @ turn.T @ down_n for turn in turns])
         found = hanging_weight(felt + 0.01 * random.standard_normal(felt.shape), turns, R)
         hits += abs(found.down @ down_n / np.linalg.norm(found.down) - found.weight_n) <= found.weight_half_n
     assert AT_LEAST <= hits <= DRAWS
@@ -172,7 +172,7 @@ def weighed(random: np.random.Generator, noise: tuple[float, float], count: int 
     R = Rotation.from_euler("z", random.uniform(0, 360), degrees=True).as_matrix() @ np.diag([1.0, 1.0, -1.0])
     weight_n, center_m = np.array([0.1, -0.2, -1.9]), np.array([0.01, -0.02, 0.06])
     bias_n, bias_nm = random.standard_normal(3), 0.1 * random.standard_normal(3)
-    pulled_n = np.array([R.T @ turn.T @ weight_n for turn in turns])
+    pulled_n = np.array([-R.T @ turn.T @ weight_n for turn in turns])
     force_n = bias_n + pulled_n + noise[0] * random.standard_normal((count, 3))
     torque_nm = bias_nm + np.cross(center_m, pulled_n) + noise[1] * random.standard_normal((count, 3))
     return (force_n, torque_nm, turns, R), (weight_n, center_m, bias_n, bias_nm)
