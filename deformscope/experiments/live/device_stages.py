@@ -431,7 +431,7 @@ class ApproachChooser:
 
 class WrenchChooser:
     """The newest reading with states of the arm on both sides, besides those of the first ZERO_NS, in free air. A tare
-    of the sensor begins anew."""
+    of the sensor starts it again."""
 
     def __init__(self, wrench: str, arm: str) -> None:
         self.skipped = 0
