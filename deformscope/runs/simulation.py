@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from deformscope.arrays import FloatArray
+from deformscope.arrays import FloatArray, IntArray
 from deformscope.config.simulate import SimulateConfig
 from deformscope.errors import InputError
 from deformscope.file_io import make_folder, read_file
@@ -26,7 +26,7 @@ from deformscope.runs.result import SourceResult, open_recorder
 from deformscope.session import Step
 from deformscope.simulators.body_files import write_body, write_meshes
 from deformscope.simulators.target_process import TARGETS, TargetFailed, TargetProcess, target_process
-from deformscope.stages.map.exploration import SurfaceEstimate, TouchEstimate
+from deformscope.stages.map.exploration import MapEstimate, SurfaceEstimate, TouchEstimate
 from deformscope.stages.msm.poke import Tip
 from deformscope.stages.msm.quiet import quiet_warp
 from deformscope.stages.poke.comparison import Score, predict_seen
@@ -36,7 +36,7 @@ from deformscope.stages.poke.poke_fit import SeenPoke, seen_poke
 from deformscope.stages.poke.tip_law import Indenter, TipLaw
 from deformscope.stages.simulate.slab_mesh import SlabMesh, slab_around
 from deformscope.stages.simulate.target_fit import (
-    NAMES,
+    MOST_ROUNDS,
     MeasuredPoke,
     Stopped,
     TargetFit,
@@ -123,6 +123,15 @@ class SimulationResult(SourceResult):
         found = [getattr(one.after, kind) for one in self.pokes if one.held_out == held_out]
         return float(np.sqrt(np.mean(np.square(found)))) if found else None
 
+    def _names(self, logarithm: str = "") -> tuple[str, ...]:
+        return tuple(f"{logarithm * (name != 'poisson')}{name}" for name in self.fit.parameters.names)
+
+    def _materials(self) -> list[tuple[float, float, int]]:
+        """Of each material the modulus that is needed, the measured one [Pa], and its fitted pokes."""
+        fitted = [one.poke.material for one in self.pokes if not one.held_out]
+        pairs = zip(self.fit.parameters.moduli, self.measured.moduli, strict=True)
+        return [(*pair, fitted.count(number)) for number, pair in enumerate(pairs)]
+
     def _how(self) -> dict[str, float]:
         """The target's own numbers of its way to a static state: the largest of the pokes."""
         names = self.pokes[0].answer.how
@@ -144,8 +153,12 @@ class SimulationResult(SourceResult):
                 "contact": self.fit.parameters.contact,
                 "contact_unit": TARGETS[self.target].unit,
             },
-            "deviation": dict(zip(("log_young", "poisson", "log_contact"), self.fit.deviation, strict=True)),
-            "determined": {name: self.fit.determined(name) for name in NAMES},
+            "materials": [
+                {"young_pa": needed, "measured_young_pa": typed, "fitted_pokes": pokes}
+                for needed, typed, pokes in self._materials()
+            ],
+            "deviation": dict(zip(self._names("log_"), self.fit.deviation, strict=True)),
+            "determined": {name: self.fit.determined(name) for name in self._names()},
             "converged": self.fit.converged,
             "errors_by_run": self.fit.errors,
             "fitted": {"force_error": self.error("force_error", held_out=False)}
@@ -164,13 +177,18 @@ class SimulationResult(SourceResult):
         return self.with_problems(found)
 
     def tables(self) -> tuple[Table, ...]:
-        needed, found = self.fit.parameters, []
+        needed, found, moduli = self.fit.parameters, [], []
+        for number, (young, typed, pokes) in enumerate(self._materials()):
+            label = f"modulus needed{f', region {number}' * bool(needed.ratios)}"
+            seen = "" if pokes else "; no fitted poke, changed as the others"
+            name = f"ratio {number}" if number else "young"
+            moduli.append((label, name, f"{young / 1e3:.4g} kPa, measured {typed / 1e3:.4g} kPa{seen}"))
         for label, name, text in (
-            ("modulus needed", "young", f"{needed.young / 1e3:.4g} kPa, measured {self.measured.young / 1e3:.4g} kPa"),
+            *moduli,
             ("Poisson's ratio", "poisson", f"{needed.poisson:.3g}"),
             ("stiffness of contact", "contact", f"{needed.contact:.3g} {TARGETS[self.target].unit}"),
         ):
-            fitted = self.fit.free[NAMES.index(name)]
+            fitted = self.fit.free[needed.names.index(name)]
             known = "" if self.fit.determined(name) else " (not determined by these pokes)" if fitted else " (given)"
             found.append((label, text + known))
         deepest = max(self.pokes, key=lambda one: float(one.answer.penetration.max()))
@@ -250,14 +268,16 @@ def simulate(config: SimulateConfig, progress: Progress | None = None) -> Simula
     began = time.monotonic()
     quiet_warp()
     model = None if config.tip is not None else load_model(config.source)
+    regions = _Regions(np.zeros((1, 1), np.int64), 1.0, np.ones(1)) if model is not None else _regions(config.source)
     surface, pokes = _of_recording(config) if model is None else _of_model(model, config)
-    mesh = slab_around(surface, [one.seen for one in pokes], config.spacing_m, config.vertices)
+    pokes = [replace(one, material=int(regions.at(one.seen.at[None, :2])[0])) for one in pokes]
+    mesh = slab_around(surface, [one.seen for one in pokes], config.spacing_m, config.vertices, regions.at)
     test = _held_out(pokes, config.held_out)
     fitted = [one for one in pokes if not any(one is other for other in test)]
     about = TARGETS[config.target]
     poisson = POISSON if config.poisson is None else config.poisson
-    young = _modulus(fitted, surface.thickness, poisson)
-    start = TargetParameters(young, poisson, about.contact * young)
+    young, ratios = regions.moduli(fitted, surface.thickness, poisson)
+    start = TargetParameters(young, poisson, about.contact * young, ratios)
     timestep_s = config.timestep_s or about.timestep_s
     make_folder(config.out)
     settings = {"command": "simulate", **cast("dict[str, object]", plain(config))}
@@ -265,11 +285,12 @@ def simulate(config: SimulateConfig, progress: Progress | None = None) -> Simula
         if target.version != about.tried:
             say(f"{config.target} {target.version} was not tried with this program: {about.tried} was")
 
-        runs = _Runs(target, config, mesh, timestep_s, began, asked)
+        runs = _Runs(target, config, mesh, timestep_s, began, asked, len(ratios) + 1)
         first = runs.press(start, pokes, anyway=True)
-        free = (True, config.poisson is None, True)
+        free = (True, config.poisson is None, True, *regions.free(fitted))
         cost = sum(one.step_s * one.how.get("steps", 0.0) for one in first) * len(fitted) / len(pokes)
-        say(f"{len(mesh.vertices)} vertices: a run of all pokes takes some {cost:.0f} s, the fit 8 to 21 runs")
+        most = MOST_ROUNDS * (sum(free) + 1) + 1
+        say(f"{len(mesh.vertices)} vertices: a run of all pokes takes some {cost:.0f} s, the fit 8 to {most} runs")
         note = progress or (lambda what, done, total: None)
         found = fit_target(mesh, fitted, runs.press, start, free, lambda done, total: note("runs", done, total))
         last = runs.press(found.parameters, pokes, anyway=True)
@@ -317,10 +338,11 @@ class _Runs:
         timestep_s: float,
         began: float,
         asked: Interruption,
+        materials: int,
     ) -> None:
         self._target, self._config, self._began, self._asked = target, config, began, asked
         self._timestep_s = timestep_s
-        start = TargetParameters(1e4, POISSON, 1e4)
+        start = TargetParameters(1e4, POISSON, 1e4, (1.0,) * (materials - 1))
         self._body = write_body(config.target, config.out, mesh, start, config.density, timestep_s)
         self._known: dict[tuple[TargetParameters, str], TargetPoke] = {}
 
@@ -355,7 +377,8 @@ class _Runs:
             tip = one.seen.tip
             where: Json = {"at_m": one.seen.at[:2], "tip": tip.shape, "size_m": tip.size, "slips": tip.slips}
             asked.append(where | {"depth_m": one.depth})
-        request: Json = {"do": "press", "asset": self._body.resolve(), "pokes": asked, "parameters": parameters}
+        given: Json = {"young": parameters.moduli, "poisson": parameters.poisson, "contact": parameters.contact}
+        request: Json = {"do": "press", "asset": self._body.resolve(), "pokes": asked, "parameters": given}
         request |= {"timestep_s": timestep_s or self._timestep_s}
         answers = self._target.ask(cast("Json", plain(request)), lambda: time.monotonic() < until)
         found = []
@@ -382,7 +405,8 @@ class _Runs:
 
 
 def _held_out(pokes: Sequence[MeasuredPoke], asked: int | None) -> list[MeasuredPoke]:
-    """Pokes for the test, spread evenly."""
+    """Pokes for the test, spread evenly over each material."""
+    pokes = sorted(pokes, key=lambda one: one.material)
     count = len(pokes) // 3 if asked is None else asked
     if count >= len(pokes):
         raise InputError("a poke to fit next to those held out", f"{len(pokes)} in all", f"--held-out {len(pokes) - 1}")
@@ -396,6 +420,37 @@ def _modulus(pokes: Sequence[MeasuredPoke], thickness: float, poisson: float) ->
         law = TipLaw(Indenter(poke.seen.tip.shape, poke.seen.tip.size), poke.depth[-1], thickness, "bonded", poisson)
         found.append(poke.force[-1] / float(law.response(poke.depth[-1])) * (1.0 - poisson**2))
     return float(np.median(found))
+
+
+@dataclass(frozen=True, slots=True)
+class _Regions:
+    """The regions of a map, each of one material. labels: (rows, columns); level: (r,) stiffness of each [N/mm]"""
+
+    labels: IntArray
+    cell_m: float
+    level: FloatArray
+
+    def at(self, places: FloatArray) -> IntArray:
+        """(p,) region at places (p, 2) [m]."""
+        most = np.array(self.labels.shape)[::-1] - 1
+        x, y = np.clip(np.floor(places / self.cell_m).astype(np.int64), 0, most).T
+        return np.asarray(self.labels[y, x])
+
+    def moduli(
+        self, pokes: Sequence[MeasuredPoke], thickness: float, poisson: float
+    ) -> tuple[float, tuple[float, ...]]:
+        """Young's modulus of the first by its pokes [Pa], and the ratios of the others to it; by the map's stiffness
+        without pokes."""
+        found = np.full(len(self.level), np.nan)
+        for one in {poke.material for poke in pokes}:
+            found[one] = _modulus([poke for poke in pokes if poke.material == one], thickness, poisson)
+        found = np.where(np.isnan(found), self.level * np.nanmedian(found / self.level), found)
+        return float(found[0]), tuple(float(one) for one in found[1:] / found[0])
+
+    def free(self, pokes: Sequence[MeasuredPoke]) -> list[bool]:
+        """Which ratios the pokes can determine: those of regions with pokes, next to one more region with pokes."""
+        known = {poke.material for poke in pokes}
+        return [one in known and one != min(known) for one in range(1, len(self.level))]
 
 
 # Reading -------------------------------------------------------------------------------------------------------------
@@ -428,6 +483,16 @@ def _single(name: str, seen: SeenPoke) -> MeasuredPoke:
     if seen.tip.shape == "sphere" and np.isfinite(rise).any():
         seen = replace(seen, depth=float(np.median((rise - seen.touched_by[:, 2])[np.isfinite(rise)])))
     return MeasuredPoke(name, seen, np.array([seen.depth]), np.array([seen.force]))
+
+
+def _regions(path: Path) -> _Regions:
+    """The regions of a recorded exploration's last map; one without any."""
+    maps = [cast("MapEstimate", row.item) for row in read_results(path, (MapEstimate,))]
+    if not maps or maps[-1].region_count == 0:
+        if maps:
+            say(f"no regions in the map ({maps[-1].verdict}): the body has one material")
+        return _Regions(np.zeros((1, 1), np.int64), 1.0, np.ones(1))
+    return _Regions(maps[-1].labels, maps[-1].cell_m, maps[-1].level_n_per_mm)
 
 
 def _of_recording(config: SimulateConfig) -> tuple[MeasuredSurface, list[MeasuredPoke]]:

@@ -39,34 +39,73 @@ def _words(values: FloatArray | IntArray) -> str:
 
 
 def _mjcf(mesh: SlabMesh, found: TargetParameters, density: float, timestep_s: float) -> str:
-    """A flex whose cells are trilinear finite elements, of linear elasticity in their rotated frames: the law of the
-    measured modulus. `dof="full"` would be Saint Venant and Kirchhoff's law, which softens as it is pressed."""
-    x, y, z = mesh.cells
+    """Flexes whose cells are trilinear finite elements, of linear elasticity in their rotated frames: the law of the
+    measured modulus. `dof="full"` would be Saint Venant and Kirchhoff's law, which softens as it is pressed. A flex has
+    one material: each box of cells of one material is a flex, and neighbours have the nodes between them in common."""
+    x, y, z = (0.5 * (np.append(one, 0.0) + np.append(0.0, one)) for one in map(np.diff, mesh.axes))
+    mass = (density * x[:, None, None] * y[:, None] * z).ravel()
+    free = mesh.vertices[:, 2] > mesh.axes[2][0]
+    number = np.arange(len(mesh.vertices)).reshape([len(one) for one in mesh.axes])
+    bodies, flexes = [], []
+    for one, (place, heavy, moves) in enumerate(zip(mesh.vertices, mass, free, strict=True)):
+        inertia = f'<inertial pos="0 0 0" mass="{heavy:.6g}" diaginertia="1e-6 1e-6 1e-6"/>'
+        slides = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in ("1 0 0", "0 1 0", "0 0 1"))
+        bodies.append(f'<body name="n{one}" pos="{_words(place)}">{(inertia + slides) * bool(moves)}</body>')
+    cell = np.tile(np.arange(mesh.material.size), len(mesh.elements) // mesh.material.size)
+    for part, (material, box) in enumerate(mesh.boxes()):
+        nodes = number[tuple(slice(side.start, side.stop + 1) for side in box)].ravel()
+        inside = np.isin(cell, np.arange(mesh.material.size).reshape(mesh.cells)[box])
+        elements, size = np.searchsorted(nodes, mesh.elements[inside]), " ".join(f"{s.stop - s.start}" for s in box)
+        flexes.append(f"""
+    <flex name="material{material}_{part}" dim="3" dof="trilinear" cellcount="{size}" radius="{RADIUS_M:g}"
+          rgba="{0.3 + 0.6 * (material % 2):g} .7 .4 1" body="{" ".join(["world"] * len(nodes))}"
+          node="{" ".join(f"n{one}" for one in nodes)}" vertex="{_words(mesh.vertices[nodes])}"
+          element="{_words(elements)}">
+      <elasticity young="{found.moduli[material]:.6g}" poisson="{found.poisson:.6g}" damping="{RAYLEIGH_S}"/>
+      <contact selfcollide="none" contype="0" condim="1" priority="1" solimp="{IMPEDANCE} {IMPEDANCE} .001"
+               solref="{-found.contact:.6g} {-2.0 * np.sqrt(found.contact):.6g}"/>
+    </flex>""")
+    rows = "\n    ".join(bodies)
     return f"""<mujoco model="slab">
   <!-- The discrete integrator alone is implicit in the elasticity; implicit and implicitfast refuse it. -->
   <option integrator="discrete" solver="CG" timestep="{timestep_s:g}" gravity="0 0 {-GRAVITY}"/>
   <worldbody>
-    <flexcomp name="slab" type="direct" dim="3" dof="trilinear" cellcount="{x} {y} {z}" radius="{RADIUS_M:g}"
-              mass="{density * float(np.prod(mesh.size)):.8g}" rgba=".3 .7 .4 1"
-              point="{_words(mesh.vertices)}"
-              element="{_words(mesh.elements)}">
-      <elasticity young="{found.young:.6g}" poisson="{found.poisson:.6g}" damping="{RAYLEIGH_S}"/>
-      <contact selfcollide="none" condim="1" priority="1" solimp="{IMPEDANCE} {IMPEDANCE} .001"
-               solref="{-found.contact:.6g} {-2.0 * np.sqrt(found.contact):.6g}"/>
-      <pin gridrange="0 0 0 {x} {y} 0"/>
-    </flexcomp>
+    {rows}
   </worldbody>
+  <deformable>{"".join(flexes)}
+  </deformable>
 </mujoco>
 """
 
 
 def _usd(mesh: SlabMesh, found: TargetParameters, density: float) -> str:
     """A TetMesh with the schemas of deformable bodies that OpenUSD's physics group proposes; they have no word for what
-    is glued to the world."""
+    is glued to the world. Materials are bound to subsets of its cells; Newton's importer takes the first for all."""
 
     def rows(values: FloatArray | IntArray) -> str:
         return ", ".join("(" + ", ".join(f"{one:.8g}" for one in row) + ")" for row in values)
 
+    foams = "".join(
+        f"""
+    def Material "Foam{number}" (prepend apiSchemas = ["PhysicsMaterialAPI", "PhysicsVolumeDeformableMaterialAPI"])
+    {{
+        float physics:youngsModulus = {young:.6g}
+        float physics:poissonsRatio = {found.poisson:.6g}
+        float physics:density = {density:.6g}
+    }}"""
+        for number, young in enumerate(found.moduli)
+    )
+    subsets = "".join(
+        f"""
+        def GeomSubset "Foam{number}" (prepend apiSchemas = ["MaterialBindingAPI"])
+        {{
+            uniform token elementType = "tetrahedron"
+            uniform token familyName = "materialBind"
+            int[] indices = [{", ".join(map(str, np.flatnonzero(mesh.element_material() == number)))}]
+            rel material:binding:physics = </Slab/Foam{number}>
+        }}"""
+        for number in range(len(found.moduli) * bool(found.ratios))
+    )
     return f"""#usda 1.0
 (
     defaultPrim = "Slab"
@@ -75,20 +114,14 @@ def _usd(mesh: SlabMesh, found: TargetParameters, density: float) -> str:
     upAxis = "Z"
 )
 def Xform "Slab" (prepend apiSchemas = ["PhysicsDeformableBodyAPI"])
-{{
-    def Material "Foam" (prepend apiSchemas = ["PhysicsMaterialAPI", "PhysicsVolumeDeformableMaterialAPI"])
-    {{
-        float physics:youngsModulus = {found.young:.6g}
-        float physics:poissonsRatio = {found.poisson:.6g}
-        float physics:density = {density:.6g}
-    }}
+{{{foams}
     def TetMesh "Cells" (
         prepend apiSchemas = ["PhysicsVolumeDeformableSimAPI", "PhysicsCollisionAPI", "MaterialBindingAPI"]
     )
     {{
         point3f[] points = [{rows(mesh.vertices)}]
         int4[] tetVertexIndices = [{rows(mesh.elements)}]
-        rel material:binding:physics = </Slab/Foam>
+        rel material:binding:physics = </Slab/Foam0>{subsets}
     }}
 }}
 """
@@ -99,12 +132,12 @@ def _vtu(mesh: SlabMesh, moved: FloatArray, found: TargetParameters) -> str:
         attributes = f'type="{kind}" Name="{name}" NumberOfComponents="{parts}" format="ascii"'
         return f"<DataArray {attributes}>{_words(values)}</DataArray>"
 
-    count = len(mesh.elements)
+    count, moduli = len(mesh.elements), np.array(found.moduli)
     cells = array("connectivity", "Int32", mesh.elements)
     cells += array("offsets", "Int32", 4 * np.arange(1, count + 1)) + array("types", "UInt8", np.full(count, 10))
     fields = "".join(
-        array(name, "Float64", np.full(count, value))
-        for name, value in (("young_pa", found.young), ("poisson", found.poisson))
+        array(name, "Float64", value)
+        for name, value in (("young_pa", moduli[mesh.element_material()]), ("poisson", np.full(count, found.poisson)))
     )
     return (
         '<?xml version="1.0"?>\n<VTKFile type="UnstructuredGrid" version="0.1"><UnstructuredGrid>\n'

@@ -3,7 +3,7 @@
     python mujoco_child.py < requests > replies        one JSON object a line
 
     {"do": "version"}  ->  {"version": "4.0.0"}
-    {"do": "press", "asset": "slab.xml", "parameters": {"young", "poisson", "contact"}, "timestep_s", "pokes":
+    {"do": "press", "asset": "slab.xml", "parameters": {"young": [...], "poisson", "contact"}, "timestep_s", "pokes":
       [{"at_m": [x, y], "tip": "sphere" | "disc" | "flat", "size_m": [...], "slips": true, "depth_m": [...]}]}
       ->  a line for each poke: {"force_n": [...], "penetration_m": [...], "rest_m": [[x, y, z]...], "moved_m": [...],
           "step_s": seconds a step, "how": {"steps"}}
@@ -36,10 +36,12 @@ def scene(mujoco: Any, asked: dict[str, Any], poke: dict[str, Any]) -> tuple[Any
     """Model and data of the slab with these parameters and the tip, and the height of the tip's middle over a surface
     that it touches [m]."""
     spec, given = mujoco.MjSpec.from_file(asked["asset"]), asked["parameters"]
-    flex, shape, half = spec.flexes[0], poke["tip"], [0.5 * one for one in poke["size_m"]]
-    flex.young, flex.poisson = given["young"], given["poisson"]
-    flex.solref = [-given["contact"], -2.0 * given["contact"] ** 0.5]
-    flex.condim, flex.friction = (1, [0.0] * 3) if poke["slips"] else (3, [10.0, 0.005, 0.0001])
+    shape, half = poke["tip"], [0.5 * one for one in poke["size_m"]]
+    for flex in spec.flexes:
+        material = int(flex.name.removeprefix("material").partition("_")[0])
+        flex.young, flex.poisson = given["young"][material], given["poisson"]
+        flex.solref = [-given["contact"], -2.0 * given["contact"] ** 0.5]
+        flex.condim, flex.friction = (1, [0.0] * 3) if poke["slips"] else (3, [10.0, 0.005, 0.0001])
     spec.option.timestep = asked["timestep_s"]
     kind, size = {
         "sphere": (mujoco.mjtGeom.mjGEOM_SPHERE, [half[0], 0.0, 0.0]),
@@ -74,12 +76,12 @@ def press(asked: dict[str, Any]) -> Iterator[dict[str, Any]]:
     for poke in asked["pokes"]:
         model, data, above = scene(mujoco, asked, poke)
         mujoco.mj_kinematics(model, data)
-        mujoco.mj_flex(model, data)
-        height = data.flexvert_xpos[:, 2].copy()
+        nodes = slice(1, model.nbody - 1)  # one body each; the tip is the last
+        height = data.xpos[nodes, 2].copy()
         upper = height >= height.max() - 1e-9
         for _ in range(RAMP):  # under its own weight, which moves the vertices below each other sideways too
             step()
-        rest = data.flexvert_xpos.copy()
+        rest = data.xpos[nodes].copy()
         aside = np.linalg.norm(rest[upper, :2] - poke["at_m"], axis=1)
         touching = float(rest[upper, 2][aside.argmin()]) + above
         forces, depths, now, at, steps = [], [], np.zeros(2), 0.0, 0
@@ -96,7 +98,7 @@ def press(asked: dict[str, Any]) -> Iterator[dict[str, Any]]:
             forces.append(float(now[0]))
             depths.append(float(now[1]))
             at, steps = depth, steps + len(found)
-        moved = data.flexvert_xpos - rest
+        moved = data.xpos[nodes] - rest
         if np.abs(moved).max() > FARTHEST * at:
             raise ArithmeticError(
                 f"the slab bursts with steps of {asked['timestep_s']:g} s, or its cells are too coarse"

@@ -3,7 +3,7 @@
     python newton_child.py < requests > replies        one JSON object a line
 
     {"do": "version"}  ->  {"version": "1.8.0"}
-    {"do": "press", "asset": "slab.usda", "parameters": {"young", "poisson", "contact"}, "timestep_s", "pokes"}
+    {"do": "press", "asset": "slab.usda", "parameters": {"young": [...], "poisson", "contact"}, "timestep_s", "pokes"}
       ->  a line for each poke, with "how": {"steps", "iterations", "residual"}
 
 Otherwise as `mujoco_child.py`. The body is the USD's, read by Newton's own importer, with its lowest vertices held; the
@@ -38,6 +38,15 @@ FARTHEST = 5.0
 """A vertex that moves this many depths is thrown out."""
 
 
+def cells_of_materials(asset: str) -> list[Any]:
+    """The cells of each material, by the USD's subsets; Newton's importer does not read them."""
+    from pxr import Usd, UsdGeom
+
+    stage = Usd.Stage.Open(asset)
+    subsets = [UsdGeom.Subset(prim) for prim in stage.Traverse() if prim.IsA(UsdGeom.Subset)]
+    return [list(one.GetIndicesAttr().Get()) for one in subsets]
+
+
 class PressedSlab:
     """The slab with its parameters, and one tip above it."""
 
@@ -47,12 +56,15 @@ class PressedSlab:
         import warp as wp
 
         given, half = asked["parameters"], [0.5 * one for one in poke["size_m"]]
-        shear = given["young"] / (2.0 + 2.0 * given["poisson"])
-        lame = 2.0 * shear * given["poisson"] / (1.0 - 2.0 * given["poisson"])
+        poisson = given["poisson"]
+        lame = poisson / ((1.0 + poisson) * (1.0 - 2.0 * poisson))
         builder = newton.ModelBuilder()
         builder.default_particle_radius = RADIUS_M
         builder.add_usd(asked["asset"])
-        builder.tet_materials = [(shear, lame, 0.0)] * builder.tet_count
+        young = np.full(builder.tet_count, given["young"][0])
+        for one, cells in zip(given["young"], cells_of_materials(asked["asset"]), strict=False):
+            young[cells] = one
+        builder.tet_materials = [(one / (2.0 + 2.0 * poisson), one * lame, 0.0) for one in young.tolist()]
         self.first = np.array([list(one) for one in builder.particle_q])
         for one in np.flatnonzero(self.first[:, 2] <= self.first[:, 2].min() + RADIUS_M):
             builder.particle_mass[one] = 0.0  # glued to the ground

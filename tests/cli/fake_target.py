@@ -1,4 +1,4 @@
-"""Stands in for a simulator's process: a slab that answers as a spring, proportional to its modulus.
+"""Stands in for a simulator's process: a slab that answers as a spring, proportional to the modulus below the tip.
 
 FAKE_TARGET says how it misbehaves: missing, crash, garbage, error, hang, slow; deaf: it closes its
 output and goes on; interrupt: a person presses Ctrl-C at its fifth run."""
@@ -40,7 +40,8 @@ def main() -> None:
         given = asked["parameters"]
         for poke in asked["pokes"] if HOW in ("", "slow", "interrupt") else ():
             area = poke["size_m"][0] * poke["size_m"][-1]
-            force = [SOFTER * given["young"] * area / 0.03 * depth for depth in poke["depth_m"]]
+            young = given["young"][material_at(asked["asset"], poke["at_m"])]
+            force = [SOFTER * young * area / 0.03 * depth for depth in poke["depth_m"]]
             rest = vertices_of(asked["asset"])
             moved = [[0.0, 0.0, -poke["depth_m"][-1] * (abs(x - poke["at_m"][0]) < 0.01)] for x, _, _ in rest]
             print(
@@ -58,12 +59,21 @@ def main() -> None:
             )
 
 
+def material_at(asset: str, at: list[float]) -> int:
+    """The material of the flex below a place."""
+    for name, text in re.findall(r'<flex name="material(\d+)[^>]+ vertex="([^"]+)"', Path(asset).read_text("utf-8")):
+        numbers = [float(one) for one in text.split()]
+        if all(min(numbers[axis::3]) <= at[axis] <= max(numbers[axis::3]) for axis in (0, 1)):
+            return int(name)
+    return 0
+
+
 def vertices_of(asset: str) -> list[list[float]]:
     text = Path(asset).read_text(encoding="utf-8")
     if asset.endswith(".usda"):
         numbers = re.findall(r"[-\d.e]+", text.split("points = [")[1].split("]")[0])
     else:
-        numbers = text.split('point="')[1].split('"')[0].split()
+        numbers = " ".join(re.findall(r'<body name="n\d+" pos="([^"]+)"', text)).split()
     return [[float(one) for one in numbers[at : at + 3]] for at in range(0, len(numbers), 3)]
 
 

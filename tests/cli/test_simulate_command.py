@@ -6,7 +6,9 @@ import shlex
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
@@ -16,10 +18,13 @@ import deformscope as ds
 from deformscope.cli import main
 from deformscope.files.model_file import load_model
 from deformscope.files.pairs import parse_pair
+from deformscope.log.layout import EXPLORATION, ExplorationLayout
 from deformscope.recording.items import read_results
+from deformscope.recording.recorder import Recorder
+from deformscope.session import Moment, Step
 from deformscope.simulators.body_files import write_body
 from deformscope.simulators.target_process import target_process
-from deformscope.stages.map.exploration import TouchEstimate
+from deformscope.stages.map.exploration import MapEstimate, SurfaceEstimate, TouchEstimate
 from deformscope.stages.poke.comparison import predict_seen
 from deformscope.stages.poke.poke_fit import seen_poke
 from deformscope.stages.simulate.slab_mesh import slab_mesh
@@ -80,7 +85,7 @@ def test_the_needed_modulus_is_fitted_and_pokes_are_held_out(folder: Path, capsy
     assert abs(told["held_out"]["force_error"]) < 0.2
     assert ds.verify(record).ok
     body = ET.parse(folder / "body" / "slab.xml").getroot()
-    elasticity = body.find("worldbody/flexcomp/elasticity")
+    elasticity = body.find("deformable/flex/elasticity")
     assert elasticity is not None
     assert float(elasticity.attrib["young"]) == pytest.approx(told["needed"]["young_pa"], rel=1e-5)
 
@@ -163,6 +168,49 @@ def test_a_recording_has_its_own_pokes(folder: Path, capsys: Capture) -> None:
     assert told["measured"]["young_pa"] == pytest.approx(np.mean([one.modulus_pa for one in touches]), rel=0.1)
 
 
+@pytest.mark.parametrize("poked", [True, False])
+def test_each_region_of_a_recording_is_a_material(folder: Path, poked: bool, tmp_path: Path, capsys: Capture) -> None:
+    """Beyond x = .11 m the foam is 3 times as firm. Touched there, it is fitted; not touched, it has the share that the
+    map has it."""
+    soft, _ = [cast("TouchEstimate", row.item) for row in read_results(SHIPPED, (TouchEstimate,))]
+    sunk = soft.approach_m - soft.contact_m
+    soft = replace(soft, fitted_n=soft.peak_force_n * np.clip(sunk / sunk.max(), 0.0, 1.0))  # as the stand-in's
+    maps = [cast("MapEstimate", row.item) for row in read_results(SHIPPED, (MapEstimate,))][-1]
+    (surface,) = [row.item for row in read_results(SHIPPED, (SurfaceEstimate,))][-1:]
+    labels = np.zeros_like(maps.labels)
+    labels[:, round(0.11 / maps.cell_m) :] = 1
+    level = maps.level_n_per_mm[[0, 0]] * [1.0, 2.0]
+    maps = replace(maps, labels=labels, region_count=2, level_n_per_mm=level, level_rigid=maps.level_rigid[[0, 0]])
+    maps = replace(maps, level_interval_n_per_mm=maps.level_interval_n_per_mm[[0, 0]], level_modulus_pa=None)
+    touches = []
+    for number, (x, y) in enumerate(((0.0, 0.0), (0.04, 0.03), (0.0, 0.03), (0.04, 0.0)), start=1):
+        by, more = np.array([x, y, 0.0]), 3.0 if x else 1.0
+        moved = replace(soft, number=number, xyz_m=soft.xyz_m + by, observed_m=soft.observed_m + by)
+        if poked or not x:
+            touches.append(replace(moved, fitted_n=more * soft.fitted_n, peak_force_n=more * soft.peak_force_n))
+    record = tmp_path / "two.rrd"
+    with Recorder(record, "none", {}, application=EXPLORATION) as recorder:
+        recorder.start(ExplorationLayout((), (0.2, 0.2), np.eye(4), truth=False), 0)
+        recorder.write(Step((surface,), moment=Moment(1, cell_m=maps.cell_m)))
+        for at, one in enumerate((*touches, maps), start=2):
+            recorder.write(Step((one,), moment=Moment(at, 1, at, maps.cell_m)))
+    flags = ["--in", "mujoco", "--python", str(folder / "python"), "--tip", "sphere:0.02", *QUIET]
+    assert main(["simulate", str(record), *flags, "--out", str(tmp_path / "two"), "--json", "-"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    first, second = told["materials"]
+    assert second["young_pa"] / first["young_pa"] == pytest.approx(3.0 if poked else 2.0, rel=0.05)
+    assert [one["fitted_pokes"] for one in told["materials"]] == ([2, 1] if poked else [2, 0])
+    assert told["determined"]["ratio 1"] is poked
+    body = ET.parse(tmp_path / "two" / "slab.xml").getroot()
+    for flex in body.iter("flex"):
+        needed = told["materials"][int(flex.attrib["name"].removeprefix("material").partition("_")[0])]["young_pa"]
+        elasticity = flex.find("elasticity")
+        assert elasticity is not None
+        assert float(elasticity.attrib["young"]) == pytest.approx(needed, rel=1e-5)
+        beyond = np.array(flex.attrib["vertex"].split(), np.float64)[::3].mean() > 0.11
+        assert beyond == flex.attrib["name"].startswith("material1")
+
+
 @pytest.mark.parametrize("target", ["mujoco", "newton"])
 @pytest.mark.parametrize(
     ("how", "said"),
@@ -226,7 +274,7 @@ def test_ctrl_c_leaves_the_best_fit_so_far(folder: Path, monkeypatch: Patch, cap
     told = json.loads(capsys.readouterr().out)
     assert told["converged"] is False
     assert told["stable_timestep_s"] is None
-    body = ET.parse(folder / "interrupted" / "slab.xml").getroot().find("worldbody/flexcomp/elasticity")
+    body = ET.parse(folder / "interrupted" / "slab.xml").getroot().find("deformable/flex/elasticity")
     assert body is not None
     assert float(body.attrib["young"]) == pytest.approx(told["needed"]["young_pa"], rel=1e-5)
 
@@ -290,8 +338,8 @@ def test_mujoco_touches_a_soft_slab_at_its_surface(tmp_path: Path) -> None:
     forces = []
     with target_process("mujoco", Path(WITH_TARGETS)) as target:
         for young in (50e3, 5e3):
-            parameters = {"young": young, "poisson": 0.2, "contact": 2.0 * young}
-            body = write_body(tmp_path, mesh, TargetParameters(**parameters), 100.0, 0.005)
+            parameters = {"young": [young], "poisson": 0.2, "contact": 2.0 * young}
+            body = write_body("mujoco", tmp_path, mesh, TargetParameters(young, 0.2, 2.0 * young), 100.0, 0.005)
             asked = {"do": "press", "asset": str(body), "parameters": parameters, "timestep_s": 0.005, "pokes": [poke]}
             (answer,) = target.ask(asked)
             forces.append(answer["force_n"][0])

@@ -31,7 +31,7 @@ def answered(
     """The answer to a flat tip above the slab's middle."""
     asset = write_body("newton", folder, MESH, TargetParameters(1e4, 0.1, 1.0), 100.0, timestep_s)
     poke = {"at_m": [0.02, 0.02], "tip": "flat", "size_m": [side, side], "slips": True, "depth_m": list(depths)}
-    given = {"young": YOUNG, "poisson": poisson, "contact": CONTACT}
+    given = {"young": [YOUNG], "poisson": poisson, "contact": CONTACT}
     request: Json = {"do": "press", "asset": str(asset), "parameters": given, "timestep_s": timestep_s}
     with target_process("newton", Path(WITH_TARGETS)) as target:
         (answer,) = target.ask(request | {"pokes": [poke]})
@@ -63,9 +63,9 @@ def test_a_slab_that_was_pressed_before_answers_as_a_new_one_in_fewer_steps(tmp_
     asset = write_body("newton", tmp_path, MESH, TargetParameters(1e4, 0.1, 1.0), 100.0, 0.001)
     poke = {"at_m": [0.02, 0.02], "tip": "flat", "size_m": [0.024, 0.024], "slips": True, "depth_m": [0.0005, 0.001]}
     asked: Json = {"do": "press", "asset": str(asset), "timestep_s": 0.001, "pokes": [poke]}
-    last = asked | {"parameters": {"young": 50e3, "poisson": 0.3, "contact": 2e4}}
+    last = asked | {"parameters": {"young": [50e3], "poisson": 0.3, "contact": 2e4}}
     with target_process("newton", Path(WITH_TARGETS)) as target:
-        list(target.ask(asked | {"parameters": {"young": 40e3, "poisson": 0.26, "contact": 3e4}}))
+        list(target.ask(asked | {"parameters": {"young": [40e3], "poisson": 0.26, "contact": 3e4}}))
         (warm,) = target.ask(last)
     with target_process("newton", Path(WITH_TARGETS)) as target:
         (new,) = target.ask(last)

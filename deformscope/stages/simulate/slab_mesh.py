@@ -1,7 +1,7 @@
 """The slab below measured pokes as a mesh of tetrahedra, six in each cell of a regular grid."""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,11 +32,12 @@ class SlabMesh:
     """A slab of tetrahedra, glued to the ground, in the frame of its surface; up is +z.
 
     axes: coordinates of the grid along x, y, z [m]; vertices: (n, 3), last axis fastest [m]; elements: (m, 4) vertices
-    of each tetrahedron, of positive volume"""
+    of each tetrahedron, of positive volume; material: (cx, cy, cz) number of each cell's material, from 0"""
 
     axes: tuple[FloatArray, FloatArray, FloatArray]
     vertices: FloatArray
     elements: IntArray
+    material: IntArray
 
     @property
     def cells(self) -> tuple[int, int, int]:
@@ -48,6 +49,26 @@ class SlabMesh:
     def size(self) -> FloatArray:
         """(3,) its sides [m]."""
         return np.array([axis[-1] - axis[0] for axis in self.axes])
+
+    def element_material(self) -> IntArray:
+        """(m,) material of each tetrahedron."""
+        return np.tile(self.material.ravel(), len(self.elements) // self.material.size)
+
+    def boxes(self) -> list[tuple[int, tuple[slice, slice, slice]]]:
+        """Boxes of cells of one material that fill the slab: the material, and cells along x, y, z."""
+        found, left = [], np.ones(self.material.shape, bool)
+        while left.any():
+            low = np.unravel_index(int(np.argmax(left)), left.shape)
+            one, part = int(self.material[low]), [slice(int(at), int(at) + 1) for at in low]
+            for axis, side in enumerate(part):
+                while side.stop < left.shape[axis]:
+                    wider = [*part[:axis], slice(side.start, side.stop + 1), *part[axis + 1 :]]
+                    if not (left & (self.material == one))[tuple(wider)].all():
+                        break
+                    part, side = wider, wider[axis]
+            left[tuple(part)] = False
+            found.append((one, (part[0], part[1], part[2])))
+        return found
 
     def outside(self) -> IntArray:
         """(f, 3) triangles of its surface, counterclockwise from outside."""
@@ -62,7 +83,7 @@ class SlabMesh:
         return np.asarray(between(places))
 
 
-def slab_mesh(axes: tuple[FloatArray, FloatArray, FloatArray]) -> SlabMesh:
+def slab_mesh(axes: tuple[FloatArray, FloatArray, FloatArray], material: IntArray | None = None) -> SlabMesh:
     """The mesh of a grid; neighbouring cells are mirrored, so that it has no preferred diagonal."""
     shape = np.array([len(axis) for axis in axes])
     vertices = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -80,13 +101,20 @@ def slab_mesh(axes: tuple[FloatArray, FloatArray, FloatArray]) -> SlabMesh:
     edges = vertices[every[:, 1:]] - vertices[every[:, :1]]
     turned = np.linalg.det(edges) < 0.0
     every[turned] = every[turned][:, [0, 1, 3, 2]]
-    return SlabMesh(axes, vertices, every)
+    return SlabMesh(axes, vertices, every, np.zeros(shape - 1, np.int64) if material is None else material)
 
 
-def slab_around(surface: MeasuredSurface, pokes: Sequence[SeenPoke], spacing: float | None, vertices: int) -> SlabMesh:
+def slab_around(
+    surface: MeasuredSurface,
+    pokes: Sequence[SeenPoke],
+    spacing: float | None,
+    vertices: int,
+    material: Callable[[FloatArray], IntArray] = lambda places: np.zeros(len(places), np.int64),
+) -> SlabMesh:
     """The part of a flat slab around pokes, as far as it moves.
 
-    spacing: size of its cells [m], None = so that it has about this number of vertices. Raises InputError for a poke
+    spacing: size of its cells [m], None = so that it has about this number of vertices; material: material at places
+    (p, 2), through the whole thickness. Raises InputError for a poke
     outside the surface, for a surface with a hole, for cells too coarse for the tip, and for too many vertices."""
     for poke in pokes:
         corners = poke.at[:2] + poke.tip.half * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
@@ -119,4 +147,6 @@ def slab_around(surface: MeasuredSurface, pokes: Sequence[SeenPoke], spacing: fl
     if (hole := int(np.argmax(away))) >= 0 and away[hole] > max(HOLE_SPACINGS * surface.spacing, fine):
         came = f"no points within {1e3 * away[hole]:.3g} mm of ({upper[hole, 0]:.3g}, {upper[hole, 1]:.3g}) m"
         raise InputError("a surface without a hole around the pokes", came, "pokes away from it")
-    return slab_mesh((x, y, np.linspace(top - surface.thickness, top, layers + 1)))
+    middle = np.meshgrid(*(0.5 * (one[1:] + one[:-1]) for one in (x, y)), indexing="ij")
+    below = material(np.stack(middle, axis=-1).reshape(-1, 2)).reshape(*count, 1)
+    return slab_mesh((x, y, np.linspace(top - surface.thickness, top, layers + 1)), np.repeat(below, layers, axis=2))

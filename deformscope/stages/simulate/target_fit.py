@@ -21,7 +21,8 @@ the depth, that counts as one standard deviation: it should be small."""
 NEAR_SHARE = 0.6
 """The surface within this many thicknesses of the tip is compared."""
 STEPS = np.array([0.1, -0.04, 0.5])
-"""Steps of log modulus, Poisson's ratio, log stiffness of contact for the derivatives: above the simulator's noise."""
+"""Steps of log modulus or ratio, Poisson's ratio, log stiffness of contact for the derivatives: above the simulator's
+noise."""
 LONGEST = np.array([1.5, 0.1, 2.0])
 MOST_ROUNDS, SETTLED = 5, 0.02
 """Rounds of derivatives and a step; share of the error by which a step must be better for another round."""
@@ -35,37 +36,52 @@ class Stopped(Exception):
 
 @dataclass(frozen=True, slots=True)
 class TargetParameters:
-    """young: Young's modulus [Pa]; poisson: Poisson's ratio; contact: stiffness of contact, in the target's unit."""
+    """young: Young's modulus of the first material [Pa]; poisson: Poisson's ratio; contact: stiffness of contact, in
+    the target's unit; ratios: moduli of the other materials over the first one's."""
 
     young: float
     poisson: float
     contact: float
+    ratios: tuple[float, ...] = ()
+
+    @property
+    def moduli(self) -> tuple[float, ...]:
+        """Young's modulus of each material [Pa]."""
+        return tuple(self.young * one for one in (1.0, *self.ratios))
 
     @property
     def vector(self) -> FloatArray:
-        """(3,) as they are fitted."""
-        return np.array([np.log(self.young), self.poisson, np.log(self.contact)])
+        """(3 + ratios,) as they are fitted."""
+        return np.array([np.log(self.young), self.poisson, np.log(self.contact), *np.log(self.ratios)])
 
     @classmethod
     def of(cls, vector: FloatArray) -> "TargetParameters":
         """The inverse of `vector`."""
-        return cls(float(np.exp(vector[0])), float(vector[1]), float(np.exp(vector[2])))
+        ratios = tuple(float(one) for one in np.exp(vector[3:]))
+        return cls(float(np.exp(vector[0])), float(vector[1]), float(np.exp(vector[2])), ratios)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the vector's entries."""
+        return (*NAMES, *(f"ratio {one}" for one in range(1, len(self.ratios) + 1)))
 
 
 NAMES = ("young", "poisson", "contact")
 LOWEST, HIGHEST = (10.0, 0.0, 0.01), (1e9, 0.49, 1e3)
+MOST_RATIO = 1e3
 """Bounds of the parameters; stiffness of contact relative to where the fit begins."""
 
 
 @dataclass(frozen=True)
 class MeasuredPoke:
     """A measured poke. name; seen: its place, tip, and surface at the greatest depth; depth, force: (n,) rising depths
-    of the tip and the forces there [m, N]"""
+    of the tip and the forces there [m, N]; material: what lies below it"""
 
     name: str
     seen: SeenPoke
     depth: FloatArray
     force: FloatArray
+    material: int = 0
 
 
 @dataclass(frozen=True)
@@ -86,20 +102,21 @@ Press = Callable[[TargetParameters, Sequence[MeasuredPoke]], list[TargetPoke]]
 
 @dataclass(frozen=True)
 class TargetFit:
-    """The fit. deviation: (3,) standard deviations of the vector's entries; free: those that were fitted; errors: (r,)
-    root mean square of the weighted residuals after each run that was better; converged: the last step helped little"""
+    """The fit. deviation: (3 + ratios,) standard deviations of the vector's entries; free: those that were fitted;
+    errors: (r,) root mean square of the weighted residuals after each run that was better; converged: the last step
+    helped little"""
 
     parameters: TargetParameters
     deviation: FloatArray
-    free: tuple[bool, bool, bool]
+    free: tuple[bool, ...]
     errors: tuple[float, ...]
     converged: bool
     answers: list[TargetPoke] = field(default_factory=list)
 
     def determined(self, name: str) -> bool:
         """Whether the pokes determine a parameter."""
-        at = NAMES.index(name)
-        return bool(self.free[at] and self.deviation[at] <= DETERMINED[at])
+        at = self.parameters.names.index(name)
+        return bool(self.free[at] and self.deviation[at] <= DETERMINED[at if at < len(NAMES) else 0])
 
 
 def surface_moved(mesh: SlabMesh, poke: MeasuredPoke, answer: TargetPoke) -> FloatArray:
@@ -140,14 +157,19 @@ def fit_target(
     pokes: Sequence[MeasuredPoke],
     press: Press,
     start: TargetParameters,
-    free: tuple[bool, bool, bool],
+    free: tuple[bool, ...],
     note: Callable[[int, int], None] = lambda done, total: None,
 ) -> TargetFit:
     """The parameters with the least squares, from `start`. free: which of them are fitted; note: called with the runs
     done and the most. `press` may raise `Stopped`: then the best so far is the result."""
     open_ = np.flatnonzero(free)
-    low, high = (TargetParameters(one[0], one[1], one[2] * start.contact).vector for one in (LOWEST, HIGHEST))
-    at, deviation = start.vector, np.full(3, np.inf)
+    others = len(start.ratios)
+    low, high = (
+        TargetParameters(one[0], one[1], one[2] * start.contact, (share,) * others).vector
+        for one, share in ((LOWEST, 1.0 / MOST_RATIO), (HIGHEST, MOST_RATIO))
+    )
+    steps, longest = (np.append(one, np.repeat(one[:1], others)) for one in (STEPS, LONGEST))
+    at, deviation = start.vector, np.full(len(low), np.inf)
     total, done = MOST_ROUNDS * (len(open_) + 1) + 1, 0
     near = [_near(poke.seen, mesh.size[2]) & followed(mesh, poke.seen) for poke in pokes]
     errors: list[float] = []
@@ -164,8 +186,8 @@ def fit_target(
     converged, damping = False, 1e-3
     try:
         for _ in range(MOST_ROUNDS):
-            ahead = np.where((at + STEPS > high) | (at + STEPS < low), -STEPS, STEPS)
-            slopes = [(run(at + ahead * (np.arange(3) == one)).every - best.every) / ahead[one] for one in open_]
+            ahead = np.where((at + steps > high) | (at + steps < low), -steps, steps)
+            slopes = [(run(at + ahead * (np.arange(len(at)) == one)).every - best.every) / ahead[one] for one in open_]
             jacobian = np.stack(slopes, axis=1)
             # by what is left of forces and of surfaces, each at least as stated. A poke's force is one number, and its
             # surface, whose points err together, another
@@ -174,10 +196,10 @@ def fit_target(
             known = jacobian[: len(sd)] / sd[:, None]
             deviation[open_] = np.sqrt(np.diag(Noise(1.0, np.zeros((0, len(sd)))).covariance(known)))
             square = jacobian.T @ jacobian
-            step = np.zeros(3)
+            step = np.zeros(len(at))
             lifted = square + np.diag(damping * np.diag(square) + 1e-9)
             step[open_] = -np.linalg.solve(lifted, jacobian.T @ best.every)
-            trial = np.clip(at + np.clip(step, -LONGEST, LONGEST), low, high)
+            trial = np.clip(at + np.clip(step, -longest, longest), low, high)
             tried = run(trial)
             if tried.rms >= best.rms:
                 damping *= 30.0

@@ -78,3 +78,29 @@ def test_what_cannot_be_meshed_is_refused() -> None:
     ):
         with pytest.raises(InputError, match=said.replace("(", r"\(").replace(")", r"\)")):
             slab_around(body, [poke(at)], spacing, 800)
+
+
+def test_boxes_of_one_material_fill_the_slab_once() -> None:
+    material = np.zeros((4, 3, 3), np.int64)
+    material[1:3, 1:, :] = 1
+    material[0, 0, 2] = 2
+    mesh = slab_mesh(AXES, material)
+    filled = np.zeros(material.shape, np.int64)
+    for one, box in mesh.boxes():
+        filled[box] += 1
+        assert (material[box] == one).all()
+    assert (filled == 1).all()
+    assert len(slab_mesh(AXES).boxes()) == 1
+    middle = mesh.vertices[mesh.elements].mean(axis=1)
+    cell = [np.searchsorted(axis, middle[:, at]) - 1 for at, axis in enumerate(AXES)]
+    np.testing.assert_array_equal(mesh.element_material(), material[tuple(cell)])
+
+
+def test_the_material_of_a_cell_is_that_at_its_middle() -> None:
+    def material(places: FloatArray) -> np.ndarray:
+        return (places[:, 0] > 0.1).astype(np.int64)
+
+    mesh = slab_around(surface(), [poke((0.1, 0.1))], None, 1000, material)
+    middle = 0.5 * (mesh.axes[0][1:] + mesh.axes[0][:-1])
+    for layer in range(mesh.cells[2]):
+        np.testing.assert_array_equal(mesh.material[:, 0, layer], middle > 0.1)

@@ -157,3 +157,55 @@ def test_the_surface_within_a_cell_of_a_flat_tips_edge_neither_counts_nor_is_fit
     assert target_score(MESH, wrong, answer, "elements").surface_error > 1.0
     fit = fit_target(MESH, [wrong, *measured()[1:]], Elements(), START, (True, True, True))
     assert fit.parameters.poisson == pytest.approx(TRUE.poisson, abs=0.02)
+
+
+EDGE = 0.04
+
+
+class TwoMaterials(Elements):
+    """The same with the second material beyond EDGE."""
+
+    def __call__(self, parameters: TargetParameters, pokes: Sequence[MeasuredPoke]) -> list[TargetPoke]:
+        self.runs += 1
+        soft, firm = parameters.moduli
+        box = ElasticBox(
+            *MESH.axes,
+            young=lambda centres: np.where(centres[:, 0] < EDGE, soft, firm),
+            poisson=parameters.poisson,
+            element="trilinear",
+        )
+        return [_pressed(box, parameters.contact, one.seen.at, one.depth) for one in pokes]
+
+
+def test_each_material_that_was_poked_gets_its_modulus() -> None:
+    """Unseen pokes, one on the border, are the test."""
+    true = TargetParameters(20e3, 0.3, 1e5, (4.0,))
+    start = TargetParameters(30e3, 0.3, 1e5, (1.5,))
+    places = [
+        replace(one, seen=replace(one.seen, at=np.array([x, 0.04, 0.03]))) for one in measured() for x in (0.02, 0.06)
+    ]
+    press = TwoMaterials()
+    pokes = [replace(one, force=press(true, [one])[0].force) for one in places]
+    pokes = [
+        replace(one, seen=replace(one.seen, moved=surface_moved(MESH, one, press(true, [one])[0]))) for one in pokes
+    ]
+    fit = fit_target(MESH, pokes[:2], press, start, (True, False, True, True))
+    assert fit.parameters.moduli == pytest.approx(true.moduli, rel=0.03)
+    assert fit.determined("young")
+    assert fit.determined("ratio 1")
+    border = replace(pokes[0], seen=replace(pokes[0].seen, at=np.array([0.04, 0.05, 0.03])))
+    for unseen in (*pokes[2:], border):
+        force, known = (press(parameters, [unseen])[0].force for parameters in (fit.parameters, true))
+        np.testing.assert_allclose(force, known, rtol=0.03)
+
+
+def test_a_material_without_pokes_keeps_its_share() -> None:
+    true = TargetParameters(20e3, 0.3, 1e5, (4.0,))
+    press = TwoMaterials()
+    poke = measured()[0]
+    poke = replace(poke, seen=replace(poke.seen, at=np.array([0.02, 0.04, 0.03])))
+    answer = press(true, [poke])[0]
+    poke = replace(poke, force=answer.force, seen=replace(poke.seen, moved=surface_moved(MESH, poke, answer)))
+    fit = fit_target(MESH, [poke], press, TargetParameters(30e3, 0.3, 1e5, (4.0,)), (True, False, False, False))
+    assert fit.parameters.moduli == pytest.approx(true.moduli, rel=0.03)
+    assert not fit.determined("ratio 1")
