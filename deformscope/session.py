@@ -248,11 +248,9 @@ def _started(executor: Executor, command: Compute) -> Future[Any]:
     try:
         return executor.submit(with_costs, command.stage, command.call, *command.arguments)
     except Exception as error:
-        return Inline().submit(_raise, error)
-
-
-def _raise(error: Exception) -> None:
-    raise error
+        failed: Future[Any] = Future()
+        failed.set_exception(error)
+        return failed
 
 
 def ask(

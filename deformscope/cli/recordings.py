@@ -2,42 +2,29 @@
 
 from typing import TYPE_CHECKING
 
+from deformscope import config as options
 from deformscope.cli import common
-from deformscope.config import (
-    CatalogConfig,
-    CompareConfig,
-    DiscardRecordingConfig,
-    ExportConfig,
-    ImportConfig,
-    LiveConfig,
-    RecordConfig,
-    RecoverConfig,
-    ReplayConfig,
-    ReportConfig,
-    RigRunOptions,
-    VerifyConfig,
-)
 from deformscope.recording.losses import named
 
 if TYPE_CHECKING:
     from deformscope.runs.rig_run import RigRun
 
 
-def record(config: RecordConfig) -> int:
+def record(config: options.RecordConfig) -> int:
     """Record a rig, headless unless a viewer is requested. Returns the command's exit status."""
     from deformscope.runs.rig_run import run_rig  # slow to import
 
     return _shown(run_rig(config, "none", always_record=True), config)
 
 
-def live(config: LiveConfig) -> int:
+def live(config: options.LiveConfig) -> int:
     """Show a rig in rerun's window, and record it on request. Returns the command's exit status."""
     from deformscope.runs.rig_run import run_rig
 
     return _shown(run_rig(config, "native", always_record=False), config)
 
 
-def _shown(run: "RigRun", config: RigRunOptions) -> int:
+def _shown(run: "RigRun", config: options.RigRunOptions) -> int:
     """Print the summary of the recording; the command's exit status."""
     common.show(run.result)
     common.write_json(run.result.as_json(), config.output.json)
@@ -52,7 +39,7 @@ def _shown(run: "RigRun", config: RigRunOptions) -> int:
     return common.EXIT_LOSSES if run.failures or (losses and recorded) else 0
 
 
-def verify(config: VerifyConfig) -> int:
+def verify(config: options.VerifyConfig) -> int:
     """Check bytes, structure and completeness. Returns the exit status; raises Damaged if the recording is damaged."""
     from deformscope.runs.verification import verify_recording
 
@@ -68,7 +55,7 @@ def verify(config: VerifyConfig) -> int:
     return common.EXIT_LOSSES if found.losses else 0
 
 
-def recover(config: RecoverConfig) -> int:
+def recover(config: options.RecoverConfig) -> int:
     """Write the readable part of a recording as a new one. Returns the command's exit status."""
     from deformscope.runs.recovery import recover_recording
 
@@ -79,7 +66,7 @@ def recover(config: RecoverConfig) -> int:
     return common.EXIT_LOSSES if found.found["problems"] else 0
 
 
-def export(config: ExportConfig) -> int:
+def export(config: options.ExportConfig) -> int:
     """Write the export, and list the written files. Returns the command's exit status."""
     from deformscope.runs.recordings import export_recording
 
@@ -92,7 +79,7 @@ def export(config: ExportConfig) -> int:
     return common.EXIT_LOSSES if found.remarks or not found.checked else 0
 
 
-def discard(config: DiscardRecordingConfig) -> None:
+def discard(config: options.DiscardRecordingConfig) -> None:
     """Mark the recording, or an episode of it, as not to be used, in its ledger. Nothing is deleted."""
     from deformscope.runs.recordings import OpenRecording
 
@@ -102,7 +89,7 @@ def discard(config: DiscardRecordingConfig) -> None:
     common.write_json(recording.as_json(), config.json)
 
 
-def replay(config: ReplayConfig) -> int:
+def replay(config: options.ReplayConfig) -> int:
     """Run the same stages on the recorded inputs; of a rig, decode its bytes again and compare frames. Raises
     `Different` if the numbers differ from the recorded ones. Returns the command's exit status."""
     from deformscope.pictures.report import Table, table_text
@@ -122,7 +109,7 @@ def replay(config: ReplayConfig) -> int:
     return 0 if ledger_path(config.recording).exists() else common.EXIT_LOSSES
 
 
-def report(config: ReportConfig) -> None:
+def report(config: options.ReportConfig) -> None:
     """Draw the figures of a recording as one HTML page, and list missing stages."""
     from deformscope.runs.recording_report import report_recording
 
@@ -136,7 +123,7 @@ def report(config: ReportConfig) -> None:
     common.write_json({**found.to_dict(), "report": out}, config.json)
 
 
-def import_(config: ImportConfig) -> int:
+def import_(config: options.ImportConfig) -> int:
     """Import the source, or describe its content. Returns the command's exit status.
 
     deformscope import --inspect bag.mcap > map.toml
@@ -161,7 +148,7 @@ def import_(config: ImportConfig) -> int:
     return common.EXIT_LOSSES if losses else 0
 
 
-def catalog(config: CatalogConfig) -> None:
+def catalog(config: options.CatalogConfig) -> None:
     """List the recordings, after the index is made or updated."""
     from deformscope.runs.catalog import PAGE, catalog_page, catalogue, serve_page
 
@@ -181,7 +168,7 @@ def catalog(config: CatalogConfig) -> None:
         common.keep_page(served=True)
 
 
-def compare(config: CompareConfig) -> None:
+def compare(config: options.CompareConfig) -> None:
     """Print the differences of two recordings."""
     from deformscope.runs.catalog import compare_recordings
 

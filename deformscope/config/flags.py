@@ -359,9 +359,7 @@ Folder = Annotated[Path, arg(metavar="DIR"), Makes()]
 NewFolder = Annotated[Path | None, one_word("FOLDER", Path), unset, Makes()]
 
 
-def _some(name: str, hint: str) -> Rule:
-    return Rule(bool, f"at least one {name}", hint, lambda _: "none")
-
-
-_MIXED = _some("SOURCE", "a video, a folder of frames, images, or pair files (.npz)")
+_MIXED = Rule(
+    bool, "at least one SOURCE", "a video, a folder of frames, images, or pair files (.npz)", lambda _: "none"
+)
 Sources = Annotated[tuple[str, ...], Positional, arg(metavar="SOURCE...", help_behavior_hint=""), Reads(), _MIXED]

@@ -85,7 +85,9 @@ def press(
     axes = [
         _graded(at[i], half[i], fine, REACH * slab.size[2], slab.size[i], even=tip.radius is not None) for i in range(2)
     ]
-    box = ElasticBox(axes[0], axes[1], _downward(slab.size[2], fine), young=slab.young, poisson=slab.poisson)
+    box = ElasticBox(
+        axes[0], axes[1], downward(slab.size[2], 0.7 * fine, GROWTH), young=slab.young, poisson=slab.poisson
+    )
     aside = box.nodes[:, :2] - at
     upper = box.plane(2, slab.size[2])
     if tip.half is not None:
@@ -171,10 +173,10 @@ def _graded(middle: float, half: float, fine: float, reach: float, side: float, 
     return np.concatenate([[low], inner, [high]])
 
 
-def _downward(thickness: float, fine: float) -> FloatArray:
-    """(n,) element borders along z [m], rising: closest below the surface."""
-    depths, step = [0.0], 0.7 * fine
+def downward(thickness: float, step: float, growth: float) -> FloatArray:
+    """(n,) element borders along z [m], rising: closest below the surface, each step larger by `growth`."""
+    depths = [0.0]
     while depths[-1] < thickness:
         depths.append(depths[-1] + step)
-        step *= GROWTH
+        step *= growth
     return thickness * (1.0 - np.array(depths[::-1]) / depths[-1])

@@ -32,7 +32,7 @@ from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.lab.elasticity import dissected, stiffness_of
 from deformscope.lab.scenes import Scene
-from deformscope.lab.slab import RigidTip
+from deformscope.lab.slab import RigidTip, downward
 from deformscope_drivers.arm.kinematics import cross
 
 FINE = 0.15
@@ -113,7 +113,7 @@ class Patch:
             _spread(float(self.xy_m[i]), reach_m[i], fine_m[i], REACH * scene.thickness_m, scene.size_m[i])
             for i in range(2)
         ]
-        axes.append(_downward(scene.thickness_m, 0.7 * float(fine_m.min())))
+        axes.append(downward(scene.thickness_m, 0.7 * float(fine_m.min()), GROWTH_DOWN))
         self._axes = (axes[0], axes[1])
         flat = MeshHex.init_tensor(*axes)
         place = flat.p.copy()
@@ -324,12 +324,3 @@ def _spread(middle: float, half: float, fine: float, reach: float, side: float) 
     low, high = max(0.0, float(every[0])), min(side, float(every[-1]))
     inner = every[(every > low + 0.4 * fine) & (every < high - 0.4 * fine)]
     return np.concatenate([[low], inner, [high]])
-
-
-def _downward(thickness: float, fine: float) -> FloatArray:
-    """(n,) element borders along z [m], rising: closest below the surface."""
-    depths, step = [0.0], fine
-    while depths[-1] < thickness:
-        depths.append(depths[-1] + step)
-        step *= GROWTH_DOWN
-    return thickness * (1.0 - np.array(depths[::-1]) / depths[-1])

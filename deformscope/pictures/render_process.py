@@ -21,7 +21,7 @@ _process: Executor | None = None
 def render_process() -> Iterator[None]:
     """A context in which `drawn` draws in a process of low priority."""
     global _process
-    with computing(_warm_up) as _process:
+    with computing(exploration.text_png, "warm") as _process:  # fonts are looked up with the first picture
         try:
             yield
         finally:
@@ -35,8 +35,3 @@ def render(draw: Callable[P, Drawn], *given: P.args, **named: P.kwargs) -> Drawn
         with contextlib.suppress(BrokenProcessPool, CancelledError, RuntimeError):
             return process.submit(draw, *given, **named).result()
     return draw(*given, **named)
-
-
-def _warm_up() -> None:
-    """Fonts are looked up with the first picture."""
-    exploration.text_png("warm")

@@ -12,8 +12,6 @@ from deformscope_drivers.interface import AxesReading, DeviceDriver, ForceReadin
 
 if TYPE_CHECKING:
     from deformscope_drivers.arm import ArmState
-    from deformscope_drivers.depth_camera import DepthImage
-    from deformscope_drivers.webcam import ColorImage
 
 
 def to_frame(kind: frames.Kind, reading: object, index: int, name: str, device: object) -> frames.Frame:
@@ -37,14 +35,6 @@ def describe(name: str, driver: DeviceDriver, device: Device[Any], *, simulated:
         said.torques,
         full_scale_pa=said.full_scale_pa,
     )
-
-
-def _color(reading: "ColorImage", index: int, name: str, device: object) -> frames.Frame:
-    return frames.ColorFrame(reading.stamp, index, reading.image, name)
-
-
-def _depth(reading: "DepthImage", index: int, name: str, device: object) -> frames.Frame:
-    return frames.DepthFrame(reading.stamp, index, reading.depth, reading.unit_m, reading.color, name)
 
 
 def _tactile(reading: PadReading, index: int, name: str, device: TactileArray) -> frames.Frame:
@@ -89,8 +79,10 @@ def _hand(reading: AxesReading, index: int, name: str, device: object) -> frames
 
 
 _FRAMES: dict[frames.Kind, Callable[[Any, int, str, Any], frames.Frame]] = {
-    "color": _color,
-    "depth": _depth,
+    "color": lambda reading, index, name, _: frames.ColorFrame(reading.stamp, index, reading.image, name),
+    "depth": lambda reading, index, name, _: frames.DepthFrame(
+        reading.stamp, index, reading.depth, reading.unit_m, reading.color, name
+    ),
     "tactile": _tactile,
     "wrench": _wrench,
     "arm": _arm,

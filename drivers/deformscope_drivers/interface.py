@@ -196,18 +196,6 @@ class Redecoder(ABC):
         """What stands for the device where a reading needs it, as `TactileArray.pressure_pa`."""
 
 
-def _nothing(config: Any) -> str:
-    return ""
-
-
-def _as_it_is(config: Any) -> Any:
-    return config
-
-
-def _no_chains() -> "Mapping[str, Chain]":
-    return {}
-
-
 @dataclass(frozen=True, slots=True)
 class DeviceDriver:
     """A package's description of a driver.
@@ -236,10 +224,10 @@ class DeviceDriver:
     double: Callable[[Any, Scene | None], Double] | None = None
     simulated: "Callable[[Any, Scene | None], AbstractContextManager[Device[Any]]] | None" = None
     redecoder: type[Redecoder] | None = None
-    lacks: Callable[[Any], str] = _nothing
-    complete: Callable[[Any], Any] = _as_it_is
+    lacks: Callable[[Any], str] = lambda config: ""
+    complete: Callable[[Any], Any] = lambda config: config
     example: Callable[[], Any] | None = None
-    chains: "Callable[[], Mapping[str, Chain]]" = _no_chains
+    chains: "Callable[[], Mapping[str, Chain]]" = dict
     in_lab: Callable[[Any, FloatArray | None, Clock], ArmInLab] | None = None
     controller_files: Callable[[Any], Mapping[str, str]] | None = None
     probed: bool = False

@@ -157,7 +157,8 @@ def _write_tables(
             file.close()
         if videos is not None:
             videos.close()
-    return [ExportedFile(entity, _inside(made[entity][0], draft), written) for entity, written in rows.items()]
+    inside = {entity: made[entity][0].relative_to(draft).as_posix() for entity in rows}
+    return [ExportedFile(entity, inside[entity], written) for entity, written in rows.items()]
 
 
 def file_name(entity: str, used: Collection[str] = ()) -> str:
@@ -268,10 +269,6 @@ def _numbered(folder: Path) -> set[Path]:
 def as_text(value: Any) -> str:
     """A value as metadata of a file: text unchanged, all else as JSON."""
     return value if isinstance(value, str) else json.dumps(value)
-
-
-def _inside(path: Path, draft: Path) -> str:
-    return path.relative_to(draft).as_posix()
 
 
 def _reason(error: OSError) -> str:

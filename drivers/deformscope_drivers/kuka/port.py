@@ -7,7 +7,7 @@ from deformscope_drivers.doubles import Double
 from deformscope_drivers.errors import Busy, LinkLost, NotConnected
 from deformscope_drivers.kuka.messages import MOST_BYTES
 from deformscope_drivers.transport import Transport
-from deformscope_drivers.wires import LOOPBACK, Wire
+from deformscope_drivers.wires import LOOPBACK, DatagramWire
 
 
 class UdpPort(Transport):
@@ -78,32 +78,13 @@ def free_port() -> int:
         return int(tried.getsockname()[1])
 
 
-class UdpWire(Wire):
+class UdpWire(DatagramWire):
     """A double of a controller, which sends to a port of this host."""
 
     def __init__(self, double: Double, port: int) -> None:
         super().__init__(double)
-        self.port = f"{LOOPBACK}:{port}"
         self._to = (LOOPBACK, port)
-        self._socket: socket.socket | None = None
 
     def _attach(self) -> None:
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.bind((LOOPBACK, 0))
-
-    def _detach(self) -> None:
-        if self._socket is not None:
-            self._socket.close()
-
-    def _take(self, wait_s: float) -> bytes:
-        assert self._socket is not None
-        if not select.select([self._socket], [], [], wait_s)[0]:
-            return b""
-        try:
-            return self._socket.recv(MOST_BYTES)
-        except ConnectionRefusedError:  # nobody listens yet
-            return b""
-
-    def _give(self, data: bytes) -> int:
-        assert self._socket is not None
-        return self._socket.sendto(data, self._to)
+        super()._attach()
+        self._host, self.port = self._to, f"{LOOPBACK}:{self._to[1]}"

@@ -8,11 +8,10 @@ import numpy as np
 
 from deformscope_drivers.clock import Clock, Stamp, monotonic_ns
 from deformscope_drivers.device import ROUND_S, StreamDevice
-from deformscope_drivers.doubles import Double
 from deformscope_drivers.errors import SettingsRefused
 from deformscope_drivers.framing import FrameDecoder
 from deformscope_drivers.health import Description, Identity
-from deformscope_drivers.interface import DeviceDriver, FloatArray, Redecoder, Scene, Wrench
+from deformscope_drivers.interface import DeviceDriver, FloatArray, Redecoder, Wrench
 from deformscope_drivers.transport import Transport, check_port, serial_or_can
 from deformscope_ft300.double import Ft300Double
 from deformscope_ft300.protocol import BAUDRATE, PER_COUNT, RATE_HZ, START, STOP, Decoder, Packet
@@ -118,8 +117,6 @@ class Ft300Again(Redecoder):
         return measure(event, host_ns) if isinstance(event, Packet) else None
 
 
-def _double(config: Ft300Config, scene: Scene | None) -> Double:
-    return Ft300Double(scene)
-
-
-DRIVER = DeviceDriver("wrench", Ft300Config, Ft300, double=_double, redecoder=Ft300Again)
+DRIVER = DeviceDriver(
+    "wrench", Ft300Config, Ft300, double=lambda config, scene: Ft300Double(scene), redecoder=Ft300Again
+)
