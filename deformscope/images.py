@@ -32,6 +32,7 @@ HEAD_BYTES = 1 << 16
 SEVERAL = re.compile(rb'(channels=|Size[CZ]=")([2-9]|\d{2,})')
 """Words of ImageJ and OME in the description of a stack: several pages belong to one frame."""
 JPEG_QUALITY = 90
+DRAWN = cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_DEFAULT, cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_NONE
 NOISY = (
     *(cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY),
     *(cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_SUB),
@@ -112,9 +113,9 @@ def is_animated(encoded: Encoded) -> bool:
 
 def encode_png(image: ImageArray, *, noisy: bool = False) -> bytes:
     """(H, W) grey or (H, W, 3) RGB, uint8 or uint16, as PNG without loss; fast rather than small. noisy: the image is
-    from a sensor, so that searching for repetitions would only take twice the time"""
+    from a sensor, so that searching for repetitions would only take twice the time; else it is drawn"""
     swapped = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
-    options = [cv2.IMWRITE_PNG_COMPRESSION, 1, *(NOISY if noisy else ())]
+    options = [cv2.IMWRITE_PNG_COMPRESSION, 1, *(NOISY if noisy else DRAWN)]
     done, encoded = cv2.imencode(".png", np.ascontiguousarray(swapped), options)
     if not done:
         raise ValueError(f"no PNG can be made of an image of shape {image.shape} and type {image.dtype}")

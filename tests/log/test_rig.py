@@ -27,11 +27,12 @@ from deformscope.frames import (
     Stream,
     TactileFrame,
 )
-from deformscope.images import encode_jpeg, encode_png
+from deformscope.images import decode_image, encode_jpeg, encode_png
 from deformscope.log.rig import Shown, log_items, log_streams, prepare_items, rig_blueprint
 from deformscope.log.rig.blueprint import rig_views
 from deformscope.log.rig.health import table, word
 from deformscope.log.rig.tactile import Hand
+from deformscope.pictures.exploration import text_png
 from deformscope.pictures.palette import BACKGROUND, colors
 from deformscope.recording.facts import run_rrd
 from deformscope.recording.items import read_items, read_streams
@@ -225,6 +226,14 @@ def test_a_noisy_image_is_still_one_without_loss() -> None:
     for image in (rng.integers(0, 65536, SMALL, np.uint16), rng.integers(0, 256, (*SMALL, 3), np.uint8)):
         decoded = cv2.imdecode(np.frombuffer(encode_png(image, noisy=True), np.uint8), cv2.IMREAD_UNCHANGED)
         np.testing.assert_array_equal(decoded if image.ndim == 2 else decoded[..., ::-1], image)
+
+
+def test_a_drawn_image_is_small_and_without_loss() -> None:
+    drawn = decode_image(text_png("stiffness [N/mm]\nof the touches"), "memory")
+    encoded = encode_png(drawn)
+    np.testing.assert_array_equal(decode_image(encoded, "memory"), drawn)
+    usual = cv2.imencode(".png", drawn[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 1])[1]
+    assert len(encoded) < min(len(usual), len(encode_png(drawn, noisy=True)))
 
 
 def test_a_frame_that_was_cut_off_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
