@@ -18,11 +18,12 @@ from deformscope_drivers.arm.commands import Velocity
 from deformscope_drivers.arm.device import Arm, ArmState
 from deformscope_drivers.arm.kinematics import Chain
 from deformscope_drivers.clock import monotonic_ns
-from deformscope_drivers.device import RECONNECT, Reconnect
+from deformscope_drivers.device import RECONNECT, RawChunk, Reconnect
 from deformscope_drivers.errors import DeviceError, LinkLost, NoReply, NotConnected
 from deformscope_drivers.health import Identity, Link
 from deformscope_drivers.hosted import Channel, HostedProcess
 from deformscope_drivers.pacing import READING, STEERING, be_prompt
+from deformscope_drivers.subscription import Subscription
 
 OPEN_S, ANSWER_S, END_S = 90.0, 6.0, 5.0
 """An arm may be sought for long, and a vendor's library may wait 5 s for a packet."""
@@ -186,6 +187,9 @@ class HostedArm(Arm[ArmState]):
                     with self._commanded:
                         self._streamed, self._stopped = None, stopped
                 found.append(state)
+            case ("raw", chunks):
+                for one in chunks:
+                    self._record_raw(one.data, one.host_ns, sent=one.sent)
             case ("refused", error):
                 self._refused = error
             case ("health", extra):
@@ -220,12 +224,13 @@ def serve(channel: Channel, kind: type[Arm[Any]], config: Any, still: bool) -> N
     """Move an arm until the program at the other end ends. still: as `Arm.still`. Raises DeviceError at opening."""
     arm = kind(config)
     arm.still = still
+    raw = arm.raw()
     arm.open()
     be_prompt(STEERING)
     try:
         known = {"chain": arm.chain, "identity": arm.identity(), "urdf": arm.urdf, "homed": arm.homed}
         channel.send("opened", known)
-        threading.Thread(target=_report, args=(arm, channel), name="states", daemon=True).start()
+        threading.Thread(target=_report, args=(arm, channel, raw), name="states", daemon=True).start()
         long: threading.Thread | None = None
         while True:
             if long is not None and not channel.poll(UNATTENDED_S) and long.is_alive():
@@ -268,15 +273,18 @@ def _answer(arm: Arm[Any], channel: Channel, number: int, name: str, arguments: 
         channel.send("answer", number, error, None)
 
 
-def _report(arm: Arm[Any], channel: Channel) -> None:
-    """Pass the arm's states on, and its health now and then, until it is closed."""
+def _report(arm: Arm[Any], channel: Channel, raw: Subscription[RawChunk]) -> None:
+    """Pass the arm's states on, the bytes of each before it, and its health now and then, until it is closed."""
     be_prompt(READING)
     health_s = 0.0
     readings = arm.readings()
     try:
         while True:
             with contextlib.suppress(TimeoutError):  # a lost arm has no states
-                channel.send("state", readings.get(WAITING_S), arm.homed, arm.stopped_because)
+                state = readings.get(WAITING_S)
+                if chunks := raw.take():
+                    channel.send("raw", chunks)
+                channel.send("state", state, arm.homed, arm.stopped_because)
             if time.monotonic() - health_s > HEALTH_S:
                 health_s = time.monotonic()
                 channel.send("health", arm.health().extra)

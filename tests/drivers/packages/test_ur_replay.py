@@ -119,9 +119,10 @@ def test_lost_bytes_are_found(recorded: Recorded) -> None:
     assert "which its bytes do not contain" in compared(recorded, [*items[:at], *items[at + 1 :]]).difference
 
 
-def test_a_recorded_double_is_replayed(tmp_path: Path, capsys: Capture, monkeypatch: Patch) -> None:
+@pytest.mark.parametrize("own_process", ["false", "true"])
+def test_a_recorded_double_is_replayed(own_process: str, tmp_path: Path, capsys: Capture, monkeypatch: Patch) -> None:
     rig, run = tmp_path / "rig.toml", tmp_path / "r.rrd"
-    rig.write_text('[devices.arm]\ndriver = "ur"\ndouble = true\nown_process = false\n')
+    rig.write_text(f'[devices.arm]\ndriver = "ur"\ndouble = true\nown_process = {own_process}\n')
     about = tmp_path / "deformscope_ur-1.0.dist-info"  # for the double, which has a process of its own
     about.mkdir()
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: deformscope-ur\nVersion: 1.0\n")
