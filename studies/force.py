@@ -25,8 +25,7 @@ from tyro.conf import arg
 from deformscope.arrays import FloatArray
 from deformscope.config import flags
 from deformscope.errors import InputError
-from deformscope.stages.poke.comparison import Score, predict_seen
-from deformscope.stages.poke.fitted import FittedModel, Prediction
+from deformscope.stages.poke.fitted import FittedModel, Prediction, Score, predict_seen
 from deformscope.stages.poke.layers import MeasuredSurface
 from deformscope.stages.poke.poke_estimate import model_of
 from deformscope.stages.poke.poke_fit import SeenPoke, fit_pokes, seen_poke

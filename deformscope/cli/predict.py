@@ -18,8 +18,7 @@ from deformscope.runs import prediction
 from deformscope.runs.prediction import compare
 from deformscope.session import Step
 from deformscope.stages.msm.solver import pick_device
-from deformscope.stages.poke.comparison import together
-from deformscope.stages.poke.fitted import predict
+from deformscope.stages.poke.fitted import predict, together
 
 
 def run(config: PredictConfig) -> None:

@@ -18,8 +18,8 @@ import numpy as np
 from deformscope.file_io import replacing
 from deformscope.files.arrays_file import Arrays, described, lattice
 from deformscope.stages.msm.poke import Law, Tip
-from deformscope.stages.poke.dent_residual import DentResidual
 from deformscope.stages.poke.fitted import FittedModel, Rival
+from deformscope.stages.poke.poke_fit import DentResidual
 
 VERSION = 1
 FORMAT = f"deformscope model {VERSION}"

@@ -10,8 +10,7 @@ import numpy as np
 from deformscope.arrays import FloatArray, ImageArray
 from deformscope.images import encode_png
 from deformscope.pictures.palette import BACKGROUND
-from deformscope.stages.poke.comparison import PokeComparison
-from deformscope.stages.poke.fitted import Prediction
+from deformscope.stages.poke.fitted import PokeComparison, Prediction
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -26,8 +26,16 @@ from deformscope.stages.msm.quiet import quiet_warp
 from deformscope.stages.msm.solver import pick_device
 from deformscope.stages.poke import fitted
 from deformscope.stages.poke.closed_form import half_space
-from deformscope.stages.poke.comparison import PokeComparison, PooledPokes, Score, predict_seen, score_of
-from deformscope.stages.poke.fitted import FittedModel, Prediction, predict
+from deformscope.stages.poke.fitted import (
+    FittedModel,
+    PokeComparison,
+    PooledPokes,
+    Prediction,
+    Score,
+    predict,
+    predict_seen,
+    score_of,
+)
 from deformscope.stages.poke.poke_fit import SeenPoke, seen_poke
 
 ModelSource: TypeAlias = FittedModel | CalibrationResult | Path | str

@@ -29,8 +29,7 @@ from deformscope.simulators.target_process import TARGETS, TargetFailed, TargetP
 from deformscope.stages.map.exploration import MapEstimate, SurfaceEstimate, TouchEstimate
 from deformscope.stages.msm.poke import Tip
 from deformscope.stages.msm.quiet import quiet_warp
-from deformscope.stages.poke.comparison import Score, predict_seen
-from deformscope.stages.poke.fitted import FittedModel, predict
+from deformscope.stages.poke.fitted import FittedModel, Score, predict, predict_seen
 from deformscope.stages.poke.layers import MeasuredSurface
 from deformscope.stages.poke.poke_fit import SeenPoke, seen_poke
 from deformscope.stages.poke.tip_law import Indenter, TipLaw

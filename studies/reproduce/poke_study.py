@@ -12,7 +12,7 @@ from deformscope.lab.slab import RigidTip, Slab, press
 from deformscope.runs.prediction import compare
 from deformscope.stages.fit.model import Observation
 from deformscope.stages.msm.poke import Tip
-from deformscope.stages.poke.comparison import PokeComparison
+from deformscope.stages.poke.fitted import PokeComparison
 from deformscope.stages.poke.layers import MeasuredSurface
 from deformscope.stages.poke.poke_estimate import PokesResult, conclude
 from deformscope.stages.poke.poke_fit import fit_pokes, seen_poke

@@ -15,7 +15,7 @@ from deformscope.config import flags
 from deformscope.pictures.figures import dents_png
 from deformscope.pictures.report import Figure, Table
 from deformscope.plain import plain
-from deformscope.stages.poke.comparison import PokeComparison
+from deformscope.stages.poke.fitted import PokeComparison
 from studies.output import write_rows
 from studies.reproduce.poke_study import Studied, plans, rows, study
 from studies.runner import Study, StudyOptions, StudyReport, Trials

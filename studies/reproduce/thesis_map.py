@@ -34,11 +34,10 @@ from deformscope.experiments.explore.touch_fit import TouchContact
 from deformscope.stages.fit.estimate import Curve
 from deformscope.stages.fit.model import nearest_error
 from deformscope.stages.gaussian_process import Kernel, ProcessPrediction
-from deformscope.stages.map.detection_limit import INCLUSION_RADII_M, detection_limit
 from deformscope.stages.map.exploration import TouchEstimate
 from deformscope.stages.map.field import FieldMap
 from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
-from deformscope.stages.map.plan import PlannedPlaces, PlanOptions, TouchChoice
+from deformscope.stages.map.plan import INCLUSION_RADII_M, PlannedPlaces, PlanOptions, TouchChoice, detection_limit
 from deformscope.stages.msm import clusters
 from deformscope.stages.msm.poke import Law, PokeSetup, hold, settle
 from deformscope.stages.poke.contact import ContactFit

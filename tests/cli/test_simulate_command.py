@@ -25,7 +25,7 @@ from deformscope.session import Moment, Step
 from deformscope.simulators.body_files import write_body
 from deformscope.simulators.target_process import target_process
 from deformscope.stages.map.exploration import MapEstimate, SurfaceEstimate, TouchEstimate
-from deformscope.stages.poke.comparison import predict_seen
+from deformscope.stages.poke.fitted import predict_seen
 from deformscope.stages.poke.poke_fit import seen_poke
 from deformscope.stages.simulate.slab_mesh import slab_mesh
 from deformscope.stages.simulate.target_fit import TargetParameters

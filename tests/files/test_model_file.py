@@ -10,8 +10,8 @@ import pytest
 from deformscope.errors import InputError
 from deformscope.files.model_file import load_model, save_model
 from deformscope.stages.msm.poke import Law, Tip
-from deformscope.stages.poke.dent_residual import DentResidual
 from deformscope.stages.poke.fitted import FittedModel, Rival
+from deformscope.stages.poke.poke_fit import DentResidual
 
 
 def model() -> FittedModel:

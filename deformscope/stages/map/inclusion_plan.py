@@ -11,10 +11,17 @@ from typing import cast
 import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray
-from deformscope.stages.map.detection_limit import largest_circle
 from deformscope.stages.map.exploration import DetectionLimit
 from deformscope.stages.map.inclusion_posterior import DEPTHS_M, EXISTS, TIMES, InclusionPosterior
-from deformscope.stages.map.plan import ALLOWED, PlannedPlaces, PlanOptions, TouchChoice, exclusions, touch_seconds
+from deformscope.stages.map.plan import (
+    ALLOWED,
+    PlannedPlaces,
+    PlanOptions,
+    TouchChoice,
+    exclusions,
+    largest_circle,
+    touch_seconds,
+)
 from deformscope.stages.regions.touches import MapGrid
 
 DETECTED = 0.6

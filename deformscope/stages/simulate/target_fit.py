@@ -11,7 +11,7 @@ import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.stages.fit.least_squares import Noise
-from deformscope.stages.poke.comparison import Score, score_of
+from deformscope.stages.poke.fitted import Score, score_of
 from deformscope.stages.poke.poke_fit import SeenPoke
 from deformscope.stages.simulate.slab_mesh import SlabMesh
 

@@ -8,12 +8,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from deformscope.stages.map.detection_limit import (
-    INCLUSION_CONTRAST,
-    INCLUSION_PRIOR,
-    UnseenInclusions,
-    detection_limit,
-)
+from deformscope.stages.map.plan import INCLUSION_CONTRAST, INCLUSION_PRIOR, UnseenInclusions, detection_limit
 from deformscope.stages.regions.posterior import RegionPosterior
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 

@@ -8,7 +8,6 @@ import pytest
 from scipy.stats import norm
 
 from deformscope.errors import InputError
-from deformscope.stages.map.detection_limit import UnseenInclusions
 from deformscope.stages.map.plan import (
     ALLOWED,
     AT_BORDER,
@@ -19,6 +18,7 @@ from deformscope.stages.map.plan import (
     TOUCHED_BEFORE,
     FieldKernel,
     PlanOptions,
+    UnseenInclusions,
     information,
     label_gain,
     plan_touch,

@@ -7,7 +7,7 @@ import pytest
 
 from deformscope.arrays import FloatArray
 from deformscope.stages.msm.poke import Tip
-from deformscope.stages.poke.dent_residual import DISTANCES, DentResidual, SurfaceLeft, residual_of
+from deformscope.stages.poke.poke_fit import DISTANCES, DentResidual, SurfaceLeft, residual_of
 
 THICKNESS, DEPTH = 0.05, 0.004
 TRUE = DentResidual(0.05 * np.exp(-DISTANCES), -0.03 * DISTANCES, THICKNESS)

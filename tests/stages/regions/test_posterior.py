@@ -12,8 +12,7 @@ from deformscope.errors import InputError
 from deformscope.stages.regions import levels
 from deformscope.stages.regions.levels import RegionPrior
 from deformscope.stages.regions.partitions import Family, draw
-from deformscope.stages.regions.posterior import RegionPosterior
-from deformscope.stages.regions.resampling import resampled
+from deformscope.stages.regions.posterior import RegionPosterior, resampled
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample, TouchErrorModel
 from tests.cases import slow_but
 
