@@ -270,12 +270,6 @@ class LeftOver:
             bent_noise=self.bent_noise + exponent_doubt,
         )
 
-    def exponents_whitened(self, effects: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The exponents (t,), and the effects of inclusions (t, j) on them, in units of independent deviations."""
-        root = np.linalg.cholesky(self.bent_noise + EXPONENT_LEVEL_SD**2)
-        whitened = solve_triangular(root, np.column_stack([self.bent, effects]), lower=True)
-        return whitened[:, 0], whitened[:, 1:]
-
     @property
     def bent_sd(self) -> float:
         """Standard deviation of one more touch's exponent [-]."""
@@ -297,7 +291,10 @@ class InclusionState:
         self._hypotheses = hypotheses
         sure = FOOTPRINT_DOUBT**-2
         none, one = np.zeros(len(BACKGROUNDS)), np.zeros((len(BACKGROUNDS), len(hypotheses)))
-        bare, effects = left.exponents_whitened(shifts.exponent)
+        # exponents, and the effects of inclusions on them, in units of independent deviations
+        root = np.linalg.cholesky(left.bent_noise + EXPONENT_LEVEL_SD**2)
+        whitened = solve_triangular(root, np.column_stack([left.bent, shifts.exponent]), lower=True)
+        bare, effects = whitened[:, 0], whitened[:, 1:]
         bent, bent_own = bare @ effects, (effects**2).sum(axis=0)
         root = np.linalg.cholesky(left.noise + LEVEL_SD**2)
         constant = float(np.log(np.diag(root)).sum())

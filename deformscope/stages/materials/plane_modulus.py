@@ -92,7 +92,8 @@ def plane_modulus(
         fine = _Body(seen, plane, push[0], fine=2)
         finer = float(np.log(fine.reaction(fine.solve(best), best))) - at_best
     noise = body.reaction_noise(state, best) / float(np.exp(at_best))
-    share = max(explained_of(seen, body.particles(state), judged), 0.0)
+    beyond = unexplained(seen.rest, seen.deformed, body.particles(state), judged, known_of(seen))
+    share = max(explained_share([beyond], float(np.ptp(seen.rest, axis=0).max())), 0.0)
     shares = seen.force_sd_n / seen.force_n, seen.scale_sd, thickness_sd, noise, finer, 1.0 - share
     variance = np.sum(np.square(shares))
     rng = np.random.default_rng(seed)
@@ -103,12 +104,6 @@ def plane_modulus(
     low, value, high = (float(one) for one in np.quantile(drawn, [0.5 - 0.5 * level, 0.5, 0.5 + 0.5 * level]))
     reasons = (*little_explained(share, left_is_noise=False, seen=[seen]), *_implausible(seen, value, thickness_m))
     return PlaneModulus((value, (low, high)), (best, posterior.shortest(level, best)), share, reasons)
-
-
-def explained_of(seen: Observation, simulated: FloatArray, judged: BoolArray) -> float:
-    """Share of the motion beyond a rigid one that positions (K, 2) explain. judged: (K,) particles that count"""
-    left = unexplained(seen.rest, seen.deformed, simulated, judged, known_of(seen))
-    return explained_share([left], float(np.ptp(seen.rest, axis=0).max()))
 
 
 def _implausible(seen: Observation, modulus_pa: float, thickness_m: float) -> Iterator[Doubt]:

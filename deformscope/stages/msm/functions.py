@@ -217,10 +217,8 @@ def functions_for(dim: int, scalar: Any) -> SimpleNamespace:
         return total
 
     @wp.func
-    def denominator_change(
-        a: square, change: square, theta: scalar, theta_change: scalar, span_axes: square, span_count: int
-    ):
-        """Derivative of `volume_denominator` for dA = change, dtheta = theta_change; 0 where it is clamped."""
+    def denominator_change(a: square, change: square, theta: scalar, span_axes: square, span_count: int):
+        """Derivative of `volume_denominator` for dA = change; 0 where it is clamped."""
         measure, root = measured(a, span_axes, span_count)
         d_measure = determinant_change(a, change)
         if span_count < wp.static(dim):
@@ -232,7 +230,7 @@ def functions_for(dim: int, scalar: Any) -> SimpleNamespace:
         out = zero
         if theta * root + (one - theta) > min_denominator and measure != zero:
             count = scalar(wp.max(span_count, 1))
-            out = theta * root / (count * measure) * d_measure + theta_change * (root - one)
+            out = theta * root / (count * measure) * d_measure
         return out
 
     @wp.func

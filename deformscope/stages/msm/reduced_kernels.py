@@ -184,7 +184,7 @@ def reduced_functions_for(dim: int, terms: int) -> SimpleNamespace:
             moved = change * body.root
             return project_change(frame.left, frame.right, frame.stretch, frame.number, body.span_count, moved) * theta
         den = frame.number
-        d_den = denominator_change(a, change, theta, zero, body.span_axes, body.span_count)
+        d_den = denominator_change(a, change, theta, body.span_axes, body.span_count)
         return change * ((one - den) / den) - a * (d_den / (den * den))
 
     @wp.func

@@ -245,12 +245,9 @@ def log_likelihood_of(
 
 
 def labels_of(maps: Partitions | None, level: FloatArray, xy_m: FloatArray) -> IntArray:
-    """(n, p) labels by level, of one region too, which has no maps."""
-    return np.zeros((len(level), len(xy_m)), dtype=np.int8) if maps is None else ranked_labels(maps, level, xy_m)
-
-
-def ranked_labels(maps: Partitions, level: FloatArray, xy_m: FloatArray) -> IntArray:
-    """(n, p) labels by level: 0 is the softest."""
+    """(n, p) labels by level, 0 the softest; of one region too, which has no maps."""
+    if maps is None:
+        return np.zeros((len(level), len(xy_m)), dtype=np.int8)
     rank = np.argsort(np.argsort(level, axis=1), axis=1)
     return cast(IntArray, np.take_along_axis(rank, maps.labels(xy_m).astype(np.intp), axis=1).astype(np.int8))
 

@@ -43,14 +43,12 @@ def physical_features(
     indentation_m: FloatArray,
     first_contact_s: float,
     steady_s: float,
-    threshold_pa: float = 0.0,
 ) -> Physical:
     """The features of a squeeze from first contact to the end of its hold.
 
     time_s: (n,) times of the tactile frames; pressure_pa: for each frame one (rows, columns) array for each finger in
     contact [Pa]
     texel_m: (width, height); indentation_m: (n,) way of each finger into the wall since first contact, their mean [m]
-    threshold_pa: texels at or below are not in contact.
     Raises InputError where there is no frame between the two events."""
     time, depth = np.asarray(time_s, dtype=np.float64), np.asarray(indentation_m, dtype=np.float64)
     if not len(time) == len(depth) == len(pressure_pa):
@@ -59,7 +57,7 @@ def physical_features(
     if not len(during):
         raise InputError("tactile frames from first contact to steady state", "none", "a slower squeeze")
     sizes = [texel_m] * len(pressure_pa[0])
-    contacts = [tactile_contact(list(frame), sizes, threshold_pa) for frame in pressure_pa]
+    contacts = [tactile_contact(list(frame), sizes) for frame in pressure_pa]
     force = np.array([contact.force_n.mean() for contact in contacts])
     last = int(during[-1])
     steady, way = contacts[last], float(depth[last])
