@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import rerun as rr
 
     from deformscope.log.rig.columns import Batch, Place
-    from deformscope.log.squeeze.display import Fingertips
+    from deformscope.log.squeeze.results import Fingertips
     from deformscope.stages.map.exploration import StageFailure
 
 PictureLayout = Literal["images", "flow", "pair", "pair-3d"]
@@ -178,8 +178,7 @@ class SqueezeLayout(RecordingLayout):
         )
 
     def log_start(self, rec: "rr.RecordingStream") -> None:
-        from deformscope.log.squeeze.display import log_place_start
-        from deformscope.log.squeeze.results import log_squeeze_start
+        from deformscope.log.squeeze.results import log_place_start, log_squeeze_start
 
         log_squeeze_start(rec, self._fingertips())
         log_place_start(rec, self.streams, self.base_from_table)
@@ -193,6 +192,6 @@ class SqueezeLayout(RecordingLayout):
         return prepare_squeeze_results(results, session_ns, self._fingertips())
 
     def _fingertips(self) -> "Fingertips":
-        from deformscope.log.squeeze.display import Fingertips
+        from deformscope.log.squeeze.results import Fingertips
 
         return Fingertips(next(stream for stream in self.streams if stream.device == self.tactile), self.pads)

@@ -11,8 +11,7 @@ from rerun.chunk import Chunk
 
 from deformscope.frames import PadLayout, Stream
 from deformscope.log.layout import SQUEEZE, SqueezeLayout
-from deformscope.log.squeeze.display import Fingertips
-from deformscope.log.squeeze.results import prepare_squeeze_results, squeeze_blueprint
+from deformscope.log.squeeze.results import Fingertips, prepare_squeeze_results, squeeze_blueprint
 from deformscope.pictures.figures import depth_change_png
 from deformscope.recording.items import read_results
 from deformscope.recording.recorder import Recorder
