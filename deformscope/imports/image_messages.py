@@ -147,7 +147,10 @@ def depth_of_points(stream: MappedStream, points: FloatArray, missed: Counter[st
     """Distances along z of points (H, W, 3): in their order if H > 1, else projected into the map's camera, with the
     nearest point for each pixel. missed: counts points that this camera does not see. Raises InputError for points
     that are not of a camera that looks along z, with x to the right and y down."""
-    axes = _axes(stream)
+    # The points' axes that lead to the camera's right, down, and along its view
+    axes = stream.axes.replace(",", " ").split()
+    if sorted(one.removeprefix("-") for one in axes) != ["x", "y", "z"]:
+        raise stream.missing("axes", 'x, y and z, each once, as in "x, -y, -z"', stream.axes)
     points = points[..., ["xyz".index(one[-1]) for one in axes]]
     points = points * [-1.0 if one.startswith("-") else 1.0 for one in axes]
     x, y, z = (points[..., at] for at in range(3))
@@ -183,14 +186,6 @@ def depth_of_points(stream: MappedStream, points: FloatArray, missed: Counter[st
     depth = np.full((height, width), np.inf)
     np.minimum.at(depth, (row[inside].astype(np.int64), column[inside].astype(np.int64)), z[inside])
     return depth
-
-
-def _axes(stream: MappedStream) -> list[str]:
-    """The points' axes that lead to the camera's right, down, and along its view."""
-    found = stream.axes.replace(",", " ").split()
-    if sorted(one.removeprefix("-") for one in found) != ["x", "y", "z"]:
-        raise stream.missing("axes", 'x, y and z, each once, as in "x, -y, -z"', stream.axes)
-    return found
 
 
 def _of_other_axes(stream: MappedStream, expected: str, came: str) -> InputError:

@@ -56,7 +56,8 @@ class HostedProcess:
         with theirs:
             self._connection = ours
             self._process = subprocess.Popen(
-                hosted_command(str(theirs.fileno())),
+                # -P: without modules of the working folder
+                [sys.executable, "-S", "-P", "-m", "deformscope_drivers.hosted", str(theirs.fileno())],
                 pass_fds=[theirs.fileno()],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
@@ -151,11 +152,6 @@ class Channel:
     def poll(self, timeout_s: float = 0.0) -> bool:
         """Whether a message, or the program's end, waits."""
         return self._connection.poll(timeout_s)
-
-
-def hosted_command(descriptor: str) -> list[str]:
-    """Command with this interpreter, without modules of the working folder (-P). descriptor: the process's socket"""
-    return [sys.executable, "-S", "-P", "-m", "deformscope_drivers.hosted", descriptor]
 
 
 def hosted_environment() -> dict[str, str]:

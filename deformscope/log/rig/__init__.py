@@ -95,7 +95,10 @@ def prepare_items(
     changes_only: log only changes of a device's state relative to `shown`"""
     batch = Batch(place)
     known = {(stream.kind, stream.device): stream for stream in streams}
-    for (kind, device), group in _by_device(items).items():
+    by_device: dict[tuple[type, str], list[Any]] = {}
+    for item in items:
+        by_device.setdefault((type(item), getattr(item, "device", "")), []).append(item)
+    for (kind, device), group in by_device.items():
         if kind in NUMBERS:
             log_numbers(batch, NUMBERS[kind], device, group, start_ns)
         if kind is frames.ArmFrame:
@@ -144,10 +147,3 @@ def warm_up() -> None:
     rec.memory_recording()
     log_items(rec, small, 0, ())
     rec.disconnect()
-
-
-def _by_device(items: Sequence[frames.Item]) -> dict[tuple[type, str], list[Any]]:
-    found: dict[tuple[type, str], list[Any]] = {}
-    for item in items:
-        found.setdefault((type(item), getattr(item, "device", "")), []).append(item)
-    return found
