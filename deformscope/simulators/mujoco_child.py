@@ -43,6 +43,7 @@ def scene(mujoco: Any, asked: dict[str, Any], poke: dict[str, Any]) -> tuple[Any
         flex.solref = [-given["contact"], -2.0 * given["contact"] ** 0.5]
         flex.condim, flex.friction = (1, [0.0] * 3) if poke["slips"] else (3, [10.0, 0.005, 0.0001])
     spec.option.timestep = asked["timestep_s"]
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC  # with pyramids, friction of 10 lets the tip through
     kind, size = {
         "sphere": (mujoco.mjtGeom.mjGEOM_SPHERE, [half[0], 0.0, 0.0]),
         "disc": (mujoco.mjtGeom.mjGEOM_CYLINDER, [half[0], half[0], 0.0]),

@@ -19,6 +19,7 @@ from deformscope.cli import main
 from deformscope.files.model_file import load_model
 from deformscope.files.pairs import parse_pair
 from deformscope.log.layout import EXPLORATION, ExplorationLayout
+from deformscope.plain import Json, plain
 from deformscope.recording.items import read_results
 from deformscope.recording.recorder import Recorder
 from deformscope.session import Moment, Step
@@ -344,3 +345,20 @@ def test_mujoco_touches_a_soft_slab_at_its_surface(tmp_path: Path) -> None:
             (answer,) = target.ask(asked)
             forces.append(answer["force_n"][0])
     assert forces[1] == pytest.approx(0.1 * forces[0], rel=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not has("mujoco"), reason="needs mujoco, or DEFORMSCOPE_TARGETS_PYTHON with it")
+def test_mujoco_presses_a_column_as_hard_with_a_tip_that_sticks(tmp_path: Path) -> None:
+    """Without Poisson's ratio nothing moves sideways: friction changes nothing, and the force is E * area * strain."""
+    across, young = np.linspace(0.0, 0.04, 6), 50e3
+    mesh, found = slab_mesh((across, across, np.linspace(0.0, 0.03, 4))), TargetParameters(young, 0.0, 1e6)
+    body = write_body("mujoco", tmp_path, mesh, found, 100.0, 0.005)
+    poke: Json = {"at_m": [0.02, 0.02], "tip": "flat", "size_m": [0.05, 0.05], "depth_m": [0.001]}
+    asked: Json = {"do": "press", "asset": str(body), "parameters": plain(found), "timestep_s": 0.005}
+    with target_process("mujoco", Path(WITH_TARGETS)) as target:
+        answers = list(target.ask(asked | {"pokes": [poke | {"slips": slips} for slips in (True, False)]}))
+    for answer in answers:
+        sunk = 0.001 - answer["penetration_m"][0]
+        assert sunk > 0.0009
+        assert answer["force_n"][0] == pytest.approx(young * 0.04**2 * sunk / 0.03, rel=0.05)
