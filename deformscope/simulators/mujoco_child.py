@@ -26,6 +26,9 @@ averaged."""
 TILES = 6
 """Boxes along each side of a flat tip. MuJoCo keeps 50 contacts for a geom on such a flex, and few at a box's edges:
 with one box the force depends more on where the flex's vertices are."""
+BEYOND = 0.5
+"""A cell that a flat tip's edge crosses is held down as far as its outer nodes: on average half a cell beyond the edge.
+The tip is narrower by that on each side."""
 FARTHEST = 5.0
 """A vertex that moves this many depths is thrown out."""
 STILL = 1e-3
@@ -35,6 +38,8 @@ STILL = 1e-3
 def scene(mujoco: Any, asked: dict[str, Any], poke: dict[str, Any]) -> tuple[Any, Any, float]:
     """Model and data of the slab with these parameters and the tip, and the height of the tip's middle over a surface
     that it touches [m]."""
+    import numpy as np
+
     spec, given = mujoco.MjSpec.from_file(asked["asset"]), asked["parameters"]
     shape, half = poke["tip"], [0.5 * one for one in poke["size_m"]]
     for flex in spec.flexes:
@@ -44,17 +49,21 @@ def scene(mujoco: Any, asked: dict[str, Any], poke: dict[str, Any]) -> tuple[Any
         flex.condim, flex.friction = (1, [0.0] * 3) if poke["slips"] else (3, [10.0, 0.005, 0.0001])
     spec.option.timestep = asked["timestep_s"]
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC  # with pyramids, friction of 10 lets the tip through
+    places = np.array([body.pos for body in spec.bodies[1:]]).round(6)
+    above = half[0]
+    if shape != "sphere":
+        half = [one - BEYOND * float(np.diff(np.unique(places[:, axis])).min()) for axis, one in enumerate(half)]
     kind, size = {
         "sphere": (mujoco.mjtGeom.mjGEOM_SPHERE, [half[0], 0.0, 0.0]),
-        "disc": (mujoco.mjtGeom.mjGEOM_CYLINDER, [half[0], half[0], 0.0]),
-        "flat": (mujoco.mjtGeom.mjGEOM_BOX, [half[0] / TILES, half[-1] / TILES, half[0]]),
+        "disc": (mujoco.mjtGeom.mjGEOM_CYLINDER, [half[0], above, 0.0]),
+        "flat": (mujoco.mjtGeom.mjGEOM_BOX, [half[0] / TILES, half[-1] / TILES, above]),
     }[shape]
     tip = spec.worldbody.add_body(name="tip", mocap=True, pos=[*poke["at_m"], 1.0])
     tiles = [(2 * one + 1) / TILES - 1.0 for one in range(TILES)] if shape == "flat" else [0.0]
     for x, y in itertools.product(tiles, tiles):
         tip.add_geom(type=kind, size=size, pos=[x * half[0], y * half[-1], 0.0], condim=flex.condim)
     model = spec.compile()
-    return model, mujoco.MjData(model), half[0] + float(flex.radius)
+    return model, mujoco.MjData(model), above + float(flex.radius)
 
 
 def press(asked: dict[str, Any]) -> Iterator[dict[str, Any]]:

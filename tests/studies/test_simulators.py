@@ -43,7 +43,8 @@ def test_an_unseen_depth_is_within_5_percent_after_the_fit() -> None:
     pokes = found["pokes"]
     assert isinstance(pokes, list)
     assert abs(pokes[1]["force_error"]) < 0.05
-    assert pokes[1]["force_error_before"] > 0.1
+    assert pokes[1]["dent_error"] < 0.07  # .19 with a tip as wide as the measured one
+    assert abs(pokes[1]["force_error_before"]) < 0.1  # .39
 
 
 @pytest.mark.slow
