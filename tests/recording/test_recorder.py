@@ -274,9 +274,11 @@ def test_full_disk_ends_the_run(tmp_path: Path) -> None:
     code = """
         import resource, sys, time
         from pathlib import Path
-        from deformscope.recording import target
+        from deformscope.recording import rrd_file, target
         from deformscope.recording.recorder import Recorder, RecordingError
         from tests.log import synthetic
+        from tests.patience import PATIENCE_S
+        rrd_file.FLUSH_TIMEOUT_S = PATIENCE_S  # a busy machine is another error than a full disk
         def lifted(path):
             resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
             return looked(path)
