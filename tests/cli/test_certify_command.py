@@ -73,9 +73,7 @@ def test_a_hidden_rig_has_its_bias_in_the_interval(tmp_path: Path, capsys: Captu
     assert "certificates" not in json.loads(found.read_text())
 
 
-def test_a_rig_file_gets_its_certificate_and_explore_doctor_and_compare_use_it(
-    rig: Path, tmp_path: Path, capsys: Capture, monkeypatch: Patch
-) -> None:
+def test_a_rig_file_gets_its_certificate(rig: Path, tmp_path: Path, monkeypatch: Patch) -> None:
     use_a_simulated_clock(monkeypatch)
     use_quick_scene(monkeypatch)
     touched = tmp_path / "touched.rrd"
@@ -90,6 +88,14 @@ def test_a_rig_file_gets_its_certificate_and_explore_doctor_and_compare_use_it(
     assert "the certificate computed again from its touches, identical to the recorded one" in str(replayed)
     bytes_of = {one["device"]: one["compared"] for one in replayed.to_dict()["devices"]}
     assert bytes_of["tip"] > 100
+
+
+@pytest.mark.slow  # two explorations; what is corrected, and by how much, is tested below and in tests/stages/poke
+def test_explore_and_compare_use_the_certificate_of_a_rig_file(
+    rig: Path, tmp_path: Path, capsys: Capture, monkeypatch: Patch
+) -> None:
+    use_a_simulated_clock(monkeypatch)
+    use_quick_scene(monkeypatch)
     rig.write_text(BLOCK + CERTIFICATE)
     plain, corrected, told = tmp_path / "a.rrd", tmp_path / "b.rrd", tmp_path / "told.json"
     stiff = []
