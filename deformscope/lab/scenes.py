@@ -396,16 +396,13 @@ def _buried(name: str, seed: int, pieces: tuple[str, ...], drawn: dict[str, floa
     foam, *balls = (Piece.named(piece, drawn["hardness"]) for piece in pieces)
     if foam.plateau_exponent or any(ball.plateau_exponent for ball in balls):
         raise InputError("foam with a ball in it that does not yield", repr(name), "homogeneous-60y20, buried-60-600")
-    level = Scene(name, seed, (foam,), drawn, BURIED_SIZE_M, BURIED_THICKNESS_M, _modulus=_even(foam.modulus_pa))
+    even: Places = lambda xy: np.full(np.shape(xy)[:-1], foam.modulus_pa)  # noqa: E731
+    level = Scene(name, seed, (foam,), drawn, BURIED_SIZE_M, BURIED_THICKNESS_M, _modulus=even)
     if not balls:
         return level
     centre = drawn["centre x"], drawn["centre y"]
     ball = BuriedBall(centre, drawn["radius"], drawn["depth"], balls[0].modulus_pa)
     return replace(level, pieces=(foam, *balls), buried=ball, _label=_layout("disc", drawn))
-
-
-def _even(modulus_pa: float) -> Places:
-    return lambda xy: np.full(np.shape(xy)[:-1], modulus_pa)
 
 
 def _layout(kind: str, drawn: dict[str, float]) -> Labels:

@@ -3,7 +3,6 @@ error curve with the posterior, the verdict."""
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import rerun as rr
 
 from deformscope.arrays import BoolArray, FloatArray
@@ -112,7 +111,8 @@ def _log_flat_heat(
     corner = (low - origin) * scale
     rec.log("heat/map", rr.Transform3D(translation=[*corner, 0.0], scale=[*(side * scale), 1.0]))
     # An opacity below 1 is what makes the viewer blend at all; pictures of one path must all be of one size.
-    png = rr.EncodedImage(contents=_png(picture), media_type="image/png", opacity=0.99, draw_order=30.0)
+    contents = cv2.imencode(".png", picture[..., [2, 1, 0, 3]], [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].tobytes()
+    png = rr.EncodedImage(contents=contents, media_type="image/png", opacity=0.99, draw_order=30.0)
     rec.log("heat/map", png, rr.AnyValues(particle=np.flatnonzero(known), error=length[known]))
     log_color_bar(rec, "heat/legend", canvas, end, comparison.unit)
     worst = int(np.nanargmax(length))
@@ -121,11 +121,6 @@ def _log_flat_heat(
     log_place(rec, canvas, "heat/worst")
     rec.log("heat/worst", rr.LineStrips2D([ring], radii=0.06 * canvas.spacing, colors=RING, draw_order=45.0))
     log_legend(rec, "heat/legend/worst", canvas, [(2.0, _worst(comparison, length), RING)], row=1)
-
-
-def _png(picture: npt.NDArray[np.uint8]) -> bytes:
-    """(rows, columns, 4) red, green, blue, cover."""
-    return cv2.imencode(".png", picture[..., [2, 1, 0, 3]], [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].tobytes()
 
 
 def _worst(comparison: Comparison, length: FloatArray) -> str:

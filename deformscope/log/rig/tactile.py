@@ -143,11 +143,6 @@ def log_tactile(
         _log_pictures(batch, device, hand, drawn, start_ns, stream, shown)
 
 
-def _texels_pa(frame: TactileFrame) -> FloatArray:
-    """(texels,) pressures of all pads, one after the other."""
-    return np.concatenate([np.zeros(0), *(pad.ravel() for pad in frame.pressure_pa)])
-
-
 def _peaks_kpa(frame: TactileFrame) -> FloatArray:
     """(pads,) the highest pressure on each."""
     return np.array([np.max(pad, initial=0.0) * 1e-3 for pad in frame.pressure_pa])
@@ -197,7 +192,8 @@ def _log_pictures(
     peaks_kpa = np.stack([_peaks_kpa(frame) for frame in frames])
     known = stream is not None and stream.full_scale_pa > 0
     end_kpa = stream.full_scale_pa * 1e-3 if stream is not None and known else round_up(float(peaks_kpa.max()))
-    share = np.stack([_texels_pa(frame) for frame in frames]) * (1e-3 / end_kpa)
+    texels_pa = [np.concatenate([np.zeros(0), *(pad.ravel() for pad in frame.pressure_pa)]) for frame in frames]
+    share = np.stack(texels_pa) * (1e-3 / end_kpa)
     share = np.sqrt(np.clip(share, 0.0, 1.0))  # a gentle touch is a hundredth of what saturates a texel
     picture = np.full((len(frames), hand.rows * hand.columns, 3), BACKGROUND, np.uint8)
     picture[:, hand.places()] = colors(share.ravel()).reshape(*share.shape, 3)
