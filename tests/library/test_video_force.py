@@ -177,10 +177,7 @@ def ramp() -> list[ImageArray]:
     return video(tuple(0.12 * float(np.clip((t - 0.5) / 1.0, 0.0, 1.0)) for t in np.arange(1, 19) / FPS))
 
 
-@pytest.mark.parametrize(("offset_s", "rate_hz", "unit"), [(0.0, 50.0, "N"), (3.3, 23.0, "g")])
-def test_a_log_finds_its_offset_by_the_motion(tmp_path: Path, offset_s: float, rate_hz: float, unit: str) -> None:
-    write_log(tmp_path / "scale.csv", offset_s, rate_hz, unit=unit)
-    one = fit(ramp(), **scaled(force=str(tmp_path / "scale.csv"), fps=FPS))
+def assert_offset_is_found(one: ds.CalibrationResult, offset_s: float, rate_hz: float) -> None:
     shown = one.to_dict()
     low, high = shown["force_offset_s"]["interval"]
     assert shown["force_offset_s"]["value"] == pytest.approx(offset_s, abs=0.5 / FPS)
@@ -189,6 +186,12 @@ def test_a_log_finds_its_offset_by_the_motion(tmp_path: Path, offset_s: float, r
     curve = shown["force_curve"]
     assert len(curve["depth_m"]) == len(curve["force_n"]) > 10
     assert curve["force_n"][-1] == pytest.approx(force_n(0.12), rel=0.05)
+
+
+def test_a_log_of_the_same_clock_has_no_offset(tmp_path: Path) -> None:
+    write_log(tmp_path / "scale.csv", 0.0, 50.0)
+    one = fit(ramp(), **scaled(force=str(tmp_path / "scale.csv"), fps=FPS))
+    assert_offset_is_found(one, 0.0, 50.0)
     page = calibration_page([one.shown], seed=0, settings=one.settings)
     assert "the force over the depth of the contact" in page
 
@@ -216,10 +219,11 @@ def test_a_log_without_the_push_is_refused(tmp_path: Path, log: str) -> None:
         fit(ramp(), **scaled(force=str(tmp_path / f"{log}.csv"), fps=FPS))
 
 
-def test_the_replay_of_a_recording_has_the_same_numbers(tmp_path: Path) -> None:
-    write_log(tmp_path / "scale.csv", 1.0, 50.0)
+def test_a_log_in_grams_finds_its_offset_and_the_replay_of_its_recording_has_the_same_numbers(tmp_path: Path) -> None:
+    write_log(tmp_path / "scale.csv", 3.3, 23.0, unit="g")
     path = tmp_path / "run.rrd"
     first = fit(ramp(), **scaled(force=str(tmp_path / "scale.csv"), fps=FPS, record=path))
+    assert_offset_is_found(first, 3.3, 23.0)
     again = ds.replay(path)
     assert "identical" in again.verdict
     assert again.to_dict()["modulus_pa"] == first.to_dict()["modulus_pa"]
