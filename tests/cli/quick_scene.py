@@ -13,6 +13,7 @@ from deformscope.arrays import FloatArray
 from deformscope.experiments.explore.options import ExploreOptions
 from deformscope.images import encode_png
 from deformscope.lab.layer_world import LayerWorld
+from deformscope.lab.ray_camera import DepthViewConfig
 from deformscope.lab.scenes import Scene
 from deformscope.lab.slab import RigidTip
 from deformscope.robot.touch import TouchPlan
@@ -39,6 +40,7 @@ def use_quick_scene(monkeypatch: pytest.MonkeyPatch) -> None:
     for module in ("explore", "options"):
         monkeypatch.setattr(f"deformscope.experiments.explore.{module}.PLAN_CELL_M", PLAN_CELL_M)
     monkeypatch.setattr("deformscope.lab.scene_lab.slab_world", _Layers)
+    monkeypatch.setattr("deformscope.lab.scene_lab.DepthViewConfig", _small_view)
     near = partial(TouchPlan, slow_within_m=0.01, far_speed_m_s=0.05, travel_speed_m_s=0.15)
     monkeypatch.setattr("deformscope.experiments.measured.TouchPlan", near)
     monkeypatch.setattr("deformscope.runs.exploration_run.setup_of", _coarse_setup_of)
@@ -46,6 +48,11 @@ def use_quick_scene(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def _coarse_setup_of(name: str, options: ExploreOptions, set_force_n: float | None, **flags: Any) -> Opening:
     return setup_of(name, dataclasses.replace(options, cell_m=CELL_M), set_force_n, **flags)
+
+
+def _small_view(width: int, height: int, **view: Any) -> DepthViewConfig:
+    """The same view in a quarter of the pixels."""
+    return DepthViewConfig(width=width // 2, height=height // 2, **view)
 
 
 class _Layers:
