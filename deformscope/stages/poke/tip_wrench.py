@@ -10,7 +10,6 @@ inertia about its own centre of mass is not in it: `calibrate tool` does not mea
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
@@ -71,6 +70,8 @@ def tool_load(window: SensorWindow, tool: CarriedTool) -> tuple[FloatArray, Floa
 
     Velocity and acceleration at the reading are those of parabolas through the positions and the rotation vectors in
     the window (Savitzky and Golay 1964), which has the reading in its middle. Raises InputError for too few states."""
+    from scipy.spatial.transform import Rotation  # exports read this class, and need no scipy.spatial
+
     time_s = window.arm_s
     if len(time_s) < LEAST_STATES:
         raise InputError(f"{LEAST_STATES} states of the arm around a reading of the force", str(len(time_s)))
