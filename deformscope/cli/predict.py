@@ -1,5 +1,6 @@
 """`deformscope predict`: predict pokes that were not fitted."""
 
+import tempfile
 from itertools import chain
 from pathlib import Path
 
@@ -7,7 +8,8 @@ import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.cli import common
-from deformscope.config import PredictConfig
+from deformscope.config import PredictConfig, SimulateConfig
+from deformscope.config.options import ViewOptions
 from deformscope.errors import InputError
 from deformscope.files.arrays_file import numbers, read_arrays
 from deformscope.files.model_file import load_model
@@ -16,9 +18,11 @@ from deformscope.pictures.figures import dents_png
 from deformscope.pictures.report import Figure, Findings, Table
 from deformscope.runs import prediction
 from deformscope.runs.prediction import compare
+from deformscope.runs.simulation import SimulationResult, simulate
 from deformscope.session import Step
 from deformscope.stages.msm.solver import pick_device
 from deformscope.stages.poke.fitted import predict, together
+from deformscope.terminal import Progress
 
 
 def run(config: PredictConfig) -> None:
@@ -30,6 +34,7 @@ def run(config: PredictConfig) -> None:
     common.quiet_warp()
     device = pick_device(config.device)
     with common.fit_progress() as progress:
+        other = _simulated(config, progress)
         found = []
         for index, poke in enumerate(asked):
             progress("predicting", index, len(asked))
@@ -42,7 +47,8 @@ def run(config: PredictConfig) -> None:
     if summary is not None and len(against) > 1:
         against[-1] = (*against[-1], prediction.together_table(summary))
     every = [*(one.prediction for one in found), *(one.prediction for one in compared)]
-    common.show(Findings(tuple(chain.from_iterable([*(one.tables() for one in found), *against]))))
+    beside = [] if other is None else [(other.predictions(),)]
+    common.show(Findings(tuple(chain.from_iterable([*(one.tables() for one in found), *against, *beside]))))
     if config.out is not None:
         with common.replacing(config.out) as file:
             np.savez_compressed(file, **prediction.arrays_of(every))  # type: ignore[arg-type]  # numpy's stub
@@ -69,9 +75,19 @@ def run(config: PredictConfig) -> None:
                 for path, measured in zip(config.against, compared, strict=True)
             ],
             "against_together": summary,
+            **({} if other is None else {"in": other.to_dict()}),
         },
         config.output.json,
     )
+
+
+def _simulated(config: PredictConfig, progress: Progress) -> SimulationResult | None:
+    """The pokes in another simulator that was fitted to the measured ones."""
+    if config.target is None:
+        return None
+    with tempfile.TemporaryDirectory() as folder:
+        fitted_to, quiet = (config.python, config.against, config.poke), ViewOptions(viewer="none")
+        return simulate(SimulateConfig(config.source, config.target, Path(folder), *fitted_to, output=quiet), progress)
 
 
 def _points(path: Path) -> FloatArray:

@@ -9,6 +9,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 from deformscope.config import flags
 from deformscope.config.images import ImageOptions
 from deformscope.config.options import Flags, OutputOptions, RecordedOptions, ViewOptions, either
+from deformscope.config.simulate import PythonFlag, Target
 from deformscope.errors import InputError
 from deformscope.file_io import ending_of
 
@@ -273,6 +274,11 @@ class PredictConfig(RecordedOptions):
     against: Annotated[tuple[Path, ...], arg(metavar="PAIR.npz..."), flags.Reads()] = ()
     """Measured pokes that were not fitted. Each is predicted from its place, tip and depth, and compared with the
     measurement. A rigid body, a half-space in closed form and linear finite elements are compared too."""
+    target: Annotated[Target | None, arg(name="in")] = None
+    """Predict --poke in this simulator too, after its parameters were fitted to the pokes of --against, as `deformscope
+    simulate` does."""
+    python: PythonFlag = None
+    """The Python interpreter with the simulator; default: this one."""
     points: flags.FileFlag = None
     """Points of the surface (.npz with `points (n, 3)`) whose deformed positions are predicted too."""
     out: flags.ArraysFlag = None
@@ -286,6 +292,8 @@ class PredictConfig(RecordedOptions):
     def check(self) -> None:
         if not self.poke and not self.against:
             raise InputError("a --poke or pokes to compare with --against", "neither", f"--poke {flags.POKE_EXAMPLE}")
+        if self.target is not None and not (self.poke and self.against):
+            raise InputError("--poke, and --against: measured pokes to fit the simulator to", "--in without both")
 
 
 # deformscope calibrate axes, field, yield and viscous -----------------------------------------------------------------

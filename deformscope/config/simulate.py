@@ -35,7 +35,8 @@ class SimulateConfig(RecordedOptions):
     against: Annotated[tuple[Path, ...], arg(metavar="PAIR.npz..."), flags.Reads()] = ()
     """Measured pokes of the model's surface, with their force."""
     poke: flags.PokesFlag = ()
-    """Pokes that the model predicts, in place of measured ones, as in `deformscope predict`."""
+    """Pokes that the model predicts, as in `deformscope predict`: in place of measured ones, or as the test of a fit to
+    those of --against."""
     tip: TipFlag = None
     """For a recording: sphere:DIAMETER, disc:DIAMETER or flat:AxB in metres."""
     thickness_m: flags.PositiveFlag = None
@@ -57,7 +58,7 @@ class SimulateConfig(RecordedOptions):
     output: OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
 
     def check(self) -> None:
-        either("--against", "--poke", self.against, self.poke)
+        either("--held-out", "--against with --poke", self.held_out, self.against and self.poke)
         either("--spacing-m", "--vertices", self.spacing_m, self.vertices != 1500)
         recorded = self.source.suffix.lower() == ".rrd"
         if recorded and (self.against or self.poke):

@@ -217,6 +217,16 @@ class SimulationResult(SourceResult):
             Table(rows, names, "Errors, with the measured modulus and with the needed one, of force and of the depth"),
         )
 
+    def predictions(self) -> Table:
+        """The pokes that tested the fit, by the model and in the simulator."""
+        rows = []
+        for one in filter(lambda one: one.held_out, self.pokes):
+            forces = (f"{found.force[-1]:.3g} N" for found in (one.poke, one.answer))
+            apart = (f"{one.after.force_error or 0.0:+.1%}", f"{one.after.surface_error:.1%}")
+            rows.append((one.poke.name, *forces, *apart))
+        names = ("poke", "force by the model", f"in {self.target}", "difference", "of the dents, of the depth")
+        return Table(rows, names, f"{self.target} {self.version}, fitted to the measured pokes")
+
     def figures(self) -> tuple[Figure, ...]:
         return tuple(self._figure(one) for one in self.pokes)
 
@@ -271,7 +281,8 @@ def simulate(config: SimulateConfig, progress: Progress | None = None) -> Simula
     surface, pokes = _of_recording(config) if model is None else _of_model(model, config)
     pokes = [replace(one, material=int(regions.at(one.seen.at[None, :2])[0])) for one in pokes]
     mesh = slab_around(surface, [one.seen for one in pokes], config.spacing_m, config.vertices, regions.at)
-    test = _held_out(pokes, config.held_out)
+    predicted = pokes[len(config.against) :] if config.against else []
+    test = predicted or _held_out(pokes, config.held_out)
     fitted = [one for one in pokes if not any(one is other for other in test)]
     about = TARGETS[config.target]
     poisson = POISSON if config.poisson is None else config.poisson

@@ -169,6 +169,23 @@ def test_a_recording_has_its_own_pokes(folder: Path, capsys: Capture) -> None:
     assert told["measured"]["young_pa"] == pytest.approx(np.mean([one.modulus_pa for one in touches]), rel=0.1)
 
 
+def test_predict_sets_the_simulator_beside_the_model(folder: Path, tmp_path: Path, capsys: Capture) -> None:
+    """The stand-in is fitted to one measured poke, and answers as a column; the model's force is that without --in."""
+    model, poke = str(folder / "model.npz"), ["--poke", "at=0.09,0.08 depth=0.001", *QUIET, "--json", "-"]
+    assert main(["predict", model, *poke]) == 0
+    alone = json.loads(capsys.readouterr().out)["predictions"][0]
+    beside = ["--in", "mujoco", "--python", str(folder / "python"), "--against", str(folder / "poke0.npz")]
+    assert main(["predict", model, *poke[:2], *beside, *QUIET]) == 0
+    assert "force by the model" in capsys.readouterr().out
+    assert main(["predict", model, *poke, *beside]) == 0
+    told = json.loads(capsys.readouterr().out)
+    measured, (predicted,) = [[one for one in told["in"]["pokes"] if one["held_out"] is held] for held in (False, True)]
+    assert predicted["force_n"][0] == pytest.approx(alone["force_n"])
+    assert predicted["target_force_n"][0] == pytest.approx(0.5 * measured[0]["force_n"][0], rel=0.02)
+    assert main(["predict", model, *poke, "--in", "mujoco"]) == 2
+    assert "measured pokes to fit the simulator to" in capsys.readouterr().err.splitlines()[-1]
+
+
 @pytest.mark.parametrize("poked", [True, False])
 def test_each_region_of_a_recording_is_a_material(folder: Path, poked: bool, tmp_path: Path, capsys: Capture) -> None:
     """Beyond x = .11 m the foam is 3 times as firm. Touched there, it is fitted; not touched, it has the share that the
@@ -303,7 +320,7 @@ def test_bad_input_is_one_line(folder: Path, target: str, capsys: Capture) -> No
         ([*out], "--against PAIR.npz..., or --poke"),
         ([*out, "--against", pair, "--python", "/no/such/python"], "a Python interpreter after --python"),
         ([*out, "--against", str(folder / "noforce0.npz")], "pokes with their force"),
-        ([*out, "--against", pair, "--poke", "at=0.1,0.1 depth=0.001"], "--against or --poke"),
+        ([*out, "--against", pair, "--poke", "at=0.1,0.1 depth=0.001", "--held-out", "1"], "--against with --poke"),
         ([*out, "--against", pair, "--held-out", "1"], "a poke to fit next to those held out"),
         ([*out, "--poke", "at=0.175,0.08 depth=0.001"], "pokes on the surface"),
         ([*out, "--against", pair, "--tip", "sphere:0.02"], "--tip with a recording"),
