@@ -15,18 +15,8 @@ import numpy.typing as npt
 
 from deformscope.errors import InputError
 from deformscope.rig.rig_file import Tool
+from deformscope_drivers.arm import kinematics
 from deformscope_drivers.arm.commands import DAMPED_BELOW, OFF_COURSE
-from deformscope_drivers.arm.kinematics import (
-    Chain,
-    FloatArray,
-    cross,
-    damped_joint_rates,
-    jacobian_of,
-    least_singular,
-    off_course,
-    pose_error,
-    squared,
-)
 
 TURNED_RAD = 0.7
 """An arm whose end is further than this from its planned rotation moves joint by joint, perhaps reconfigured."""
@@ -52,7 +42,7 @@ class Placement:
     T_base_surface: (4, 4) surface frame to the arm's base frame [m]; tool: the arm's. Raises InputError unless it is
     rigid."""
 
-    T_base_surface: FloatArray
+    T_base_surface: kinematics.FloatArray
     tool: Tool = field(default_factory=Tool)
 
     def __post_init__(self) -> None:
@@ -64,7 +54,7 @@ class Placement:
         object.__setattr__(self, "T_base_surface", T)
 
     @cached_property
-    def T_ee_center(self) -> FloatArray:
+    def T_ee_center(self) -> kinematics.FloatArray:
         """(4, 4) centre of the tip to the arm's end [m]."""
         tool = self.tool
         T = np.eye(4)
@@ -77,16 +67,16 @@ class Placement:
         return T
 
     @cached_property
-    def T_surface_base(self) -> FloatArray:
+    def T_surface_base(self) -> kinematics.FloatArray:
         """(4, 4) the arm's base frame to the surface frame [m]."""
         return np.asarray(np.linalg.inv(self.T_base_surface))
 
     @cached_property
-    def _T_center_ee(self) -> FloatArray:
+    def _T_center_ee(self) -> kinematics.FloatArray:
         return np.asarray(np.linalg.inv(self.T_ee_center))
 
     @cached_property
-    def _R_tip_force(self) -> FloatArray:
+    def _R_tip_force(self) -> kinematics.FloatArray:
         given = self.tool.R_tip_force
         return np.eye(3) if given is None else np.array(given, dtype=float)
 
@@ -95,54 +85,54 @@ class Placement:
         """Distance of the point that touches first to the tip's centre, along the normal [m]: a radius or 0."""
         return self.tool.radius_m if self.tool.tip == "sphere" else 0.0
 
-    def T_surface_center(self, T_base_ee: FloatArray) -> FloatArray:
+    def T_surface_center(self, T_base_ee: kinematics.FloatArray) -> kinematics.FloatArray:
         """(..., 4, 4) the tip's centre in the surface frame; T_base_ee: (..., 4, 4) the arm's end in its base frame."""
         return np.asarray(self.T_surface_base @ T_base_ee @ self.T_ee_center)
 
-    def force_on_tip_n(self, force_n: FloatArray, T_base_ee: FloatArray) -> FloatArray:
+    def force_on_tip_n(self, force_n: kinematics.FloatArray, T_base_ee: kinematics.FloatArray) -> kinematics.FloatArray:
         """(3,) force of the world on the tip in the surface frame [N], from the sensor's: less its gain."""
         return (
             np.asarray(-self.T_surface_center(T_base_ee)[:3, :3] @ self._R_tip_force @ force_n) / self.tool.force_gain
         )
 
-    def weight_on_sensor_n(self, T_base_ee: FloatArray) -> FloatArray:
+    def weight_on_sensor_n(self, T_base_ee: kinematics.FloatArray) -> kinematics.FloatArray:
         """(3,) what the weight of the tool adds to the sensor's forces, in its axes [N]; 0 where it is not known.
         A tool that hangs pulls at the sensor, which a tip that presses compresses."""
         weight_n = np.array(self.tool.weight_n or (0.0, 0.0, 0.0))
         return np.asarray(-weight_n @ (T_base_ee @ self.T_ee_center)[:3, :3] @ self._R_tip_force)
 
-    def T_base_ee(self, center_m: npt.ArrayLike, normal: npt.ArrayLike) -> FloatArray:
+    def T_base_ee(self, center_m: npt.ArrayLike, normal: npt.ArrayLike) -> kinematics.FloatArray:
         """(..., 4, 4) the arm's end in the base frame with the tip's centre (..., 3) [m] here, stick along -normal
         (..., 3).
 
         center_m, normal: in the surface frame. The turn about the normal is the nearest to the surface's x axis, so
         that it is the same for all touches on a flat surface."""
         out = np.asarray(normal, dtype=float)
-        out = out / np.sqrt(squared(out))[..., None]
+        out = out / np.sqrt(kinematics.squared(out))[..., None]
         across = np.array([1.0, 0.0, 0.0]) - out[..., :1] * out
-        size = np.sqrt(squared(across))
+        size = np.sqrt(kinematics.squared(across))
         if (size < 1e-6).any():
             raise InputError("a normal that is not along x", f"{out.tolist()}", "a surface less steep")
         across /= size[..., None]
         center = np.asarray(center_m, dtype=float)
         T = np.zeros((*np.broadcast_shapes(center.shape, out.shape)[:-1], 4, 4))
-        T[..., :3, 0], T[..., :3, 1], T[..., :3, 2] = across, cross(-out, across), -out
+        T[..., :3, 0], T[..., :3, 1], T[..., :3, 2] = across, kinematics.cross(-out, across), -out
         T[..., :3, 3], T[..., 3, 3] = center, 1.0
         return np.asarray(self.T_base_surface @ T @ self._T_center_ee)
 
-    def to_base(self, vector: npt.ArrayLike) -> FloatArray:
+    def to_base(self, vector: npt.ArrayLike) -> kinematics.FloatArray:
         """A vector (3,) of the surface frame in the base frame."""
         return np.asarray(self.T_base_surface[:3, :3] @ np.asarray(vector, dtype=float))
 
-    def point_in_base_m(self, point_m: npt.ArrayLike) -> FloatArray:
+    def point_in_base_m(self, point_m: npt.ArrayLike) -> kinematics.FloatArray:
         """A point (3,) [m] of the surface frame in the base frame."""
         return np.asarray(self.to_base(point_m) + self.T_base_surface[:3, 3])
 
 
 def follow(
-    chain: Chain,
+    chain: kinematics.Chain,
     placement: Placement,
-    centers_m: FloatArray,
+    centers_m: kinematics.FloatArray,
     normals: npt.ArrayLike = (0.0, 0.0, 1.0),
     *,
     start_deg: npt.ArrayLike,
@@ -160,7 +150,7 @@ def follow(
     routes = places.reshape(-1, *places.shape[-2:])
     joints_deg = np.tile(np.asarray(start_deg, dtype=float), (len(routes), 1))
     led = np.zeros(routes.shape[:2], dtype=bool)
-    before: FloatArray = np.full((len(routes), 6), np.nan)
+    before: kinematics.FloatArray = np.full((len(routes), 6), np.nan)
     for index in range(routes.shape[1]):
         place = routes[:, index]
         known = np.isfinite(before[:, 0])
@@ -174,12 +164,12 @@ def follow(
 
 
 def lead(
-    chain: Chain,
-    ways: Sequence[FloatArray],
-    joints_deg: FloatArray,
+    chain: kinematics.Chain,
+    ways: Sequence[kinematics.FloatArray],
+    joints_deg: kinematics.FloatArray,
     steered: npt.NDArray[np.bool_],
     meanwhile: Callable[[], None] = lambda: None,
-) -> tuple[npt.NDArray[np.bool_], FloatArray]:
+) -> tuple[npt.NDArray[np.bool_], kinematics.FloatArray]:
     """Whether each of k ways can be followed (k,), and the joint angles (k, m) [deg] at their ends.
 
     ways: k ways, each poses (n, 4, 4) of the arm's end, base frame, WAY_M apart; joints_deg: (k, m) joint angles at
@@ -192,15 +182,18 @@ def lead(
             break
         T_base_ee = np.array([ways[one][step] for one in on])
         links = chain.forward(joints_deg[on])
-        jacobian, twist = jacobian_of(links), pose_error(links[:, -1], T_base_ee)
-        off = off_course(jacobian, damped_joint_rates(jacobian, twist, DAMPED_BELOW), twist) > OFF_COURSE
+        jacobian, twist = kinematics.jacobian_of(links), kinematics.pose_error(links[:, -1], T_base_ee)
+        off = (
+            kinematics.off_course(jacobian, kinematics.damped_joint_rates(jacobian, twist, DAMPED_BELOW), twist)
+            > OFF_COURSE
+        )
         near = np.linalg.norm(T_base_ee[:, :3, 3], axis=1) <= longest_m(chain)
         joints_deg[on], found = chain.inverse_near(T_base_ee, joints_deg[on], **TOLERANCES)
         good[on] = found & near & ~(off & steered[on])
     return good, joints_deg
 
 
-def _way(start: FloatArray, end: FloatArray) -> FloatArray:
+def _way(start: kinematics.FloatArray, end: kinematics.FloatArray) -> kinematics.FloatArray:
     """Places with their normals (n, 6) on the straight way from one (6,) to another, without the first."""
     steps = max(1, math.ceil(float(np.linalg.norm(end[:3] - start[:3])) / WAY_M))
     shares = np.arange(1, steps + 1)[:, None] / steps
@@ -208,18 +201,18 @@ def _way(start: FloatArray, end: FloatArray) -> FloatArray:
 
 
 @cache
-def longest_m(chain: Chain) -> float:
+def longest_m(chain: kinematics.Chain) -> float:
     """Distance from the base to the arm's end with all links stretched out [m]."""
     frames = [np.eye(4), *chain.forward(chain.home_deg)]
     return sum(float(np.linalg.norm(b[:3, 3] - a[:3, 3])) for a, b in itertools.pairwise(frames))
 
 
 def best_joints(
-    chain: Chain,
-    T_base_ees: Sequence[FloatArray],
+    chain: kinematics.Chain,
+    T_base_ees: Sequence[kinematics.FloatArray],
     tries: int = 16,
-    free: Callable[[FloatArray], bool] = lambda joints_deg: True,
-) -> FloatArray | None:
+    free: Callable[[kinematics.FloatArray], bool] = lambda joints_deg: True,
+) -> kinematics.FloatArray | None:
     """Joint angles (n,) for the first of some poses (4, 4), from which a straight way leads through the others.
 
     A six-joint arm has up to eight for one pose. Returned are those whose path stays furthest from singularities, with
@@ -227,7 +220,9 @@ def best_joints(
     None = no configuration reaches all places."""
     random = [np.random.default_rng([seed, 0x1C]).uniform(0.0, 360.0, chain.joint_count) for seed in range(1, tries)]
 
-    def near(T_base_ee: FloatArray, start_deg: FloatArray) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+    def near(
+        T_base_ee: kinematics.FloatArray, start_deg: kinematics.FloatArray
+    ) -> tuple[kinematics.FloatArray, npt.NDArray[np.bool_]]:
         targets = np.broadcast_to(T_base_ee, (tries, 4, 4))
         return chain.inverse_near(targets, start_deg, margin_deg=PLAN_MARGIN_DEG)
 
@@ -236,14 +231,16 @@ def best_joints(
     for T_base_ee in T_base_ees:
         found, reached = near(T_base_ee, found)
         reached &= [bool(there and free(one)) for there, one in zip(reached, found, strict=True)]
-        least = np.minimum(least, np.where(reached, least_singular(chain.jacobian(found)), 0.0))
+        least = np.minimum(least, np.where(reached, kinematics.least_singular(chain.jacobian(found)), 0.0))
     best = -1
     for index in np.flatnonzero(least > 0):
         best = int(index) if best < 0 or least[index] > least[best] + 1e-6 else best
     return None if best < 0 else first[best]
 
 
-def towards(start_deg: Sequence[float], goal_deg: npt.ArrayLike, endless: npt.NDArray[np.bool_]) -> FloatArray:
+def towards(
+    start_deg: Sequence[float], goal_deg: npt.ArrayLike, endless: npt.NDArray[np.bool_]
+) -> kinematics.FloatArray:
     """(n,) degrees to turn from joint angles to others, the short way where a joint turns without end."""
     turn = np.asarray(goal_deg, dtype=float) - np.asarray(start_deg, dtype=float)
     return np.asarray(np.where(endless, (turn + 180.0) % 360.0 - 180.0, turn))

@@ -5,15 +5,7 @@ import shlex
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import PurePath
 
-from deformscope.pictures.evidence import (
-    Result,
-    errors_png,
-    evidence_png,
-    headline,
-    particles_png,
-    verdict_color,
-    where_wrong,
-)
+from deformscope.pictures import evidence
 from deformscope.pictures.messages import estimate_rows, format_length, reason_rows
 from deformscope.pictures.report import Code, Figure, Part, ReportVerdict, Section, Table, cell_text, html_report
 from deformscope.plain import plain
@@ -26,7 +18,7 @@ MOST_SHOWN = 24
 
 
 def calibration_page(
-    results: Sequence[Result], *, seed: int, settings: Mapping[str, object], pokes: PokesResult | None = None
+    results: Sequence[evidence.Result], *, seed: int, settings: Mapping[str, object], pokes: PokesResult | None = None
 ) -> str:
     """All results, with pictures, settings and provenance, as one HTML page. settings: settings of the command,
     in addition to those of the estimates"""
@@ -34,7 +26,7 @@ def calibration_page(
 
 
 def calibration_sections(
-    results: Sequence[Result], *, seed: int, settings: Mapping[str, object], pokes: PokesResult | None = None
+    results: Sequence[evidence.Result], *, seed: int, settings: Mapping[str, object], pokes: PokesResult | None = None
 ) -> list[Section]:
     """The parts of a report on calibrations: verdicts first, then numbers, pictures, and how it was done."""
     several = len(results) > 1
@@ -87,12 +79,16 @@ def provenance_sections(*, seed: int, settings: Mapping[str, object]) -> list[Se
     return [Section("Provenance", [Table(rows)]), Section("To reproduce it", [Code(command), again])]
 
 
-def _verdict(result: Result, *, named: bool) -> list[Part]:
+def _verdict(result: evidence.Result, *, named: bool) -> list[Part]:
     found = result.estimate
     name = f"{_name(result)}: " if named else ""
     reasons = [f"{words}." for _, words in reason_rows(found.reasons, besides=found.verdict_text())]
     words = (f"Stiffness: {found.stiffness_text()}.", *reasons, *([] if named else [_explained(found)]))
-    return [ReportVerdict(f"{name}{found.verdict_text()}", (f"{headline(found)}.", *words), verdict_color(found))]
+    return [
+        ReportVerdict(
+            f"{name}{found.verdict_text()}", (f"{evidence.headline(found)}.", *words), evidence.verdict_color(found)
+        )
+    ]
 
 
 def _explained(found: Estimate) -> str:
@@ -105,7 +101,7 @@ def _explained(found: Estimate) -> str:
     )
 
 
-def _overview(results: Sequence[Result]) -> Table:
+def _overview(results: Sequence[evidence.Result]) -> Table:
     rows = []
     for one in results:
         found = one.estimate
@@ -116,7 +112,7 @@ def _overview(results: Sequence[Result]) -> Table:
     return Table(rows, ("pair", first.parameter, f"{first.level:.0%} interval", "verdict", "error, free particles"))
 
 
-def _evidence(result: Result) -> list[Part]:
+def _evidence(result: evidence.Result) -> list[Part]:
     found = result.estimate
     rows = estimate_rows(found)
     rows.insert(-1, ("error, nearest particle", format_length(found, found.nearest)))
@@ -128,18 +124,18 @@ def _evidence(result: Result) -> list[Part]:
         caption += (
             " Below these: the force over the depth of the contact, while it rose, and the line of its stiffness."
         )
-    return [Table(rows), Figure(evidence_png(found), caption)]
+    return [Table(rows), Figure(evidence.evidence_png(found), caption)]
 
 
-def _pictures(result: Result, count: int) -> list[Part]:
+def _pictures(result: evidence.Result, count: int) -> list[Part]:
     parts: list[Part] = []
     for index in range(count):
         name = f"{PurePath(result.names[index]).name}: " if result.names[index] else ""
-        parts.append(f"{name}{where_wrong(result.comparisons[index])}")
+        parts.append(f"{name}{evidence.where_wrong(result.comparisons[index])}")
         left = Figure(
-            particles_png(result, index), f"{name}Observed particles and the simulated ones, with error lines."
+            evidence.particles_png(result, index), f"{name}Observed particles and the simulated ones, with error lines."
         )
-        right = Figure(errors_png(result, index), f"{name}Distance from observed to simulated over the body.")
+        right = Figure(evidence.errors_png(result, index), f"{name}Distance from observed to simulated over the body.")
         parts.append((left, right))
     return parts
 
@@ -175,13 +171,13 @@ def _number(value: float | None, form: str) -> str:
     return "–" if value is None else form.format(value)
 
 
-def _title(results: Sequence[Result]) -> str:
+def _title(results: Sequence[evidence.Result]) -> str:
     found = f"Calibration of {results[0].estimate.parameter}"
     if len(results) > 1:
         return f"{found}: {len(results)} pairs"
     return f"{found}: {name}" if (name := _name(results[0])) else found
 
 
-def _name(result: Result) -> str:
+def _name(result: evidence.Result) -> str:
     """A file's name without its folder, which is among the sources."""
     return PurePath(result.names[0]).name if len(result.names) == 1 else f"{len(result.names)} pairs together"

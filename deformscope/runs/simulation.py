@@ -33,19 +33,8 @@ from deformscope.stages.poke.fitted import FittedModel, Score, predict, predict_
 from deformscope.stages.poke.layers import MeasuredSurface
 from deformscope.stages.poke.poke_fit import SeenPoke, seen_poke
 from deformscope.stages.poke.tip_law import Indenter, TipLaw
+from deformscope.stages.simulate import target_fit
 from deformscope.stages.simulate.slab_mesh import SlabMesh, slab_around
-from deformscope.stages.simulate.target_fit import (
-    MOST_ROUNDS,
-    MeasuredPoke,
-    Stopped,
-    TargetFit,
-    TargetParameters,
-    TargetPoke,
-    fit_target,
-    score_beyond_edge,
-    surface_moved,
-    target_score,
-)
 from deformscope.terminal import Interruption, Progress, say, until_interrupted
 
 POISSON = 0.3
@@ -65,8 +54,8 @@ class PokeAnswer:
     surface's error without the points within a cell of a flat tip's edge; msm: errors of shape matching, None without a
     model"""
 
-    poke: MeasuredPoke
-    answer: TargetPoke
+    poke: target_fit.MeasuredPoke
+    answer: target_fit.TargetPoke
     held_out: bool
     after: Score
     beyond_edge: float
@@ -105,8 +94,8 @@ class SimulationResult(SourceResult):
     version: str
     body: Path
     mesh: SlabMesh
-    measured: TargetParameters
-    fit: TargetFit
+    measured: target_fit.TargetParameters
+    fit: target_fit.TargetFit
     pokes: tuple[PokeAnswer, ...]
     stable_s: float | None
     timestep_s: float
@@ -234,7 +223,7 @@ class SimulationResult(SourceResult):
         """The surface under a poke as measured, by shape matching, and in the simulator, where that has a body."""
         seen, (x, y) = one.poke.seen, self.mesh.axes[:2]
         inside = (seen.points[:, :2] >= (x[0], y[0])) & (seen.points[:, :2] <= (x[-1], y[-1]))
-        near, moved = inside.all(axis=1), surface_moved(self.mesh, one.poke, one.answer)
+        near, moved = inside.all(axis=1), target_fit.surface_moved(self.mesh, one.poke, one.answer)
         parts = [("measured", seen.moved, OBSERVED), ("MSM", one.msm_moved, MSM), (self.target, moved, TARGET)]
         shown = tuple((name, (seen.points + by)[near], tint) for name, by, tint in parts if by is not None)
         return ComparedSurfaces(f"Surface under the poke: {', '.join(name for name, _, _ in shown)}", shown)
@@ -259,7 +248,7 @@ class SimulationResult(SourceResult):
         near = near[np.argsort(seen.points[near, 0])]
         along = 1e3 * (seen.points[near, 0] - seen.at[0])
         moved = [(seen.moved, "x", MEASURED, "measured"), (one.msm_moved, "o", SIMULATED, "MSM")]
-        moved += [(surface_moved(self.mesh, poke, one.answer), "s", hexadecimal(TARGET), self.target)]
+        moved += [(target_fit.surface_moved(self.mesh, poke, one.answer), "s", hexadecimal(TARGET), self.target)]
         for values, mark, colour, name in moved:
             if values is not None:
                 right.plot(along, 1e3 * values[near, 2], mark, ms=4, color=colour, label=name)
@@ -287,7 +276,7 @@ def simulate(config: SimulateConfig, progress: Progress | None = None) -> Simula
     about = TARGETS[config.target]
     poisson = POISSON if config.poisson is None else config.poisson
     young, ratios = regions.moduli(fitted, surface.thickness, poisson)
-    start = TargetParameters(young, poisson, about.contact * young, ratios)
+    start = target_fit.TargetParameters(young, poisson, about.contact * young, ratios)
     timestep_s = config.timestep_s or about.timestep_s
     make_folder(config.out)
     settings = {"command": "simulate", **cast("dict[str, object]", plain(config))}
@@ -299,10 +288,12 @@ def simulate(config: SimulateConfig, progress: Progress | None = None) -> Simula
         first = runs.press(start, pokes, anyway=True)
         free = (True, config.poisson is None, True, *regions.free(fitted))
         cost = sum(one.step_s * one.how.get("steps", 0.0) for one in first) * len(fitted) / len(pokes)
-        most = MOST_ROUNDS * (sum(free) + 1) + 1
+        most = target_fit.MOST_ROUNDS * (sum(free) + 1) + 1
         say(f"{len(mesh.vertices)} vertices: a run of all pokes takes some {cost:.0f} s, the fit 8 to {most} runs")
         note = progress or (lambda what, done, total: None)
-        found = fit_target(mesh, fitted, runs.press, start, free, lambda done, total: note("runs", done, total))
+        found = target_fit.fit_target(
+            mesh, fitted, runs.press, start, free, lambda done, total: note("runs", done, total)
+        )
         last = runs.press(found.parameters, pokes, anyway=True)
         stable = runs.stable_step(found.parameters, pokes, last)
     body = write_body(config.target, config.out, mesh, found.parameters, config.density, timestep_s)
@@ -310,8 +301,8 @@ def simulate(config: SimulateConfig, progress: Progress | None = None) -> Simula
     answers = []
     for poke, before, after in zip(pokes, first, last, strict=True):
         msm_moved, msm = predict_seen(model, poke.seen)[1:] if model is not None else (None, None)
-        ours, typed = (target_score(mesh, poke, one, config.target) for one in (after, before))
-        off = score_beyond_edge(mesh, poke, after)
+        ours, typed = (target_fit.target_score(mesh, poke, one, config.target) for one in (after, before))
+        off = target_fit.score_beyond_edge(mesh, poke, after)
         answers.append(PokeAnswer(poke, after, any(one is poke for one in test), ours, off, typed, msm, msm_moved))
     result = SimulationResult(
         name=str(config.source),
@@ -352,13 +343,13 @@ class _Runs:
     ) -> None:
         self._target, self._config, self._began, self._asked = target, config, began, asked
         self._timestep_s = timestep_s
-        start = TargetParameters(1e4, POISSON, 1e4, (1.0,) * (materials - 1))
+        start = target_fit.TargetParameters(1e4, POISSON, 1e4, (1.0,) * (materials - 1))
         self._body = write_body(config.target, config.out, mesh, start, config.density, timestep_s)
-        self._known: dict[tuple[TargetParameters, str], TargetPoke] = {}
+        self._known: dict[tuple[target_fit.TargetParameters, str], target_fit.TargetPoke] = {}
 
     def press(
-        self, parameters: TargetParameters, pokes: Sequence[MeasuredPoke], *, anyway: bool = False
-    ) -> list[TargetPoke]:
+        self, parameters: target_fit.TargetParameters, pokes: Sequence[target_fit.MeasuredPoke], *, anyway: bool = False
+    ) -> list[target_fit.TargetPoke]:
         """Raises Stopped where time or a person ended the fit, unless `anyway`; InputError with the target's error."""
         left = [one for one in pokes if (parameters, one.name) not in self._known]
         try:
@@ -372,15 +363,15 @@ class _Runs:
 
     def _press(
         self,
-        parameters: TargetParameters,
-        pokes: Sequence[MeasuredPoke],
+        parameters: target_fit.TargetParameters,
+        pokes: Sequence[target_fit.MeasuredPoke],
         timestep_s: float | None = None,
         *,
         anyway: bool = False,
-    ) -> list[TargetPoke]:
+    ) -> list[target_fit.TargetPoke]:
         passed_s, limit_s = time.monotonic() - self._began, self._config.limit_s
         if not anyway and (self._asked.is_set() or passed_s > limit_s):
-            raise Stopped
+            raise target_fit.Stopped
         until = time.monotonic() + max(limit_s, 2.0 * passed_s)  # a target that hangs does not answer
         asked: list[Json] = []
         for one in pokes:
@@ -394,11 +385,16 @@ class _Runs:
         found = []
         for answer in answers:
             force, inside, rest, moved = (np.array(answer[name]) for name in ANSWERED)
-            found.append(TargetPoke(force, inside, rest, moved, float(answer["step_s"]), answer.get("how", {})))
+            found.append(
+                target_fit.TargetPoke(force, inside, rest, moved, float(answer["step_s"]), answer.get("how", {}))
+            )
         return found
 
     def stable_step(
-        self, parameters: TargetParameters, pokes: Sequence[MeasuredPoke], last: Sequence[TargetPoke]
+        self,
+        parameters: target_fit.TargetParameters,
+        pokes: Sequence[target_fit.MeasuredPoke],
+        last: Sequence[target_fit.TargetPoke],
     ) -> float | None:
         """The longest time step, doubled again and again, with which the deepest poke's force stays; None = none."""
         at = max(range(len(pokes)), key=lambda number: pokes[number].seen.depth)
@@ -409,12 +405,12 @@ class _Runs:
                 if abs(force / last[at].force[-1] - 1.0) > STABLE:
                     break
                 found, step = step, SLOWER * step
-        except (TargetFailed, Stopped):
+        except (TargetFailed, target_fit.Stopped):
             pass
         return found
 
 
-def _held_out(pokes: Sequence[MeasuredPoke], asked: int | None) -> list[MeasuredPoke]:
+def _held_out(pokes: Sequence[target_fit.MeasuredPoke], asked: int | None) -> list[target_fit.MeasuredPoke]:
     """Pokes for the test, spread evenly over each material."""
     pokes = sorted(pokes, key=lambda one: one.material)
     count = len(pokes) // 3 if asked is None else asked
@@ -423,7 +419,7 @@ def _held_out(pokes: Sequence[MeasuredPoke], asked: int | None) -> list[Measured
     return [pokes[(2 * number + 1) * len(pokes) // (2 * count)] for number in range(count)]
 
 
-def _modulus(pokes: Sequence[MeasuredPoke], thickness: float, poisson: float) -> float:
+def _modulus(pokes: Sequence[target_fit.MeasuredPoke], thickness: float, poisson: float) -> float:
     """Young's modulus [Pa] of a bonded layer by the forces at the greatest depths."""
     found = []
     for poke in pokes:
@@ -447,7 +443,7 @@ class _Regions:
         return np.asarray(self.labels[y, x])
 
     def moduli(
-        self, pokes: Sequence[MeasuredPoke], thickness: float, poisson: float
+        self, pokes: Sequence[target_fit.MeasuredPoke], thickness: float, poisson: float
     ) -> tuple[float, tuple[float, ...]]:
         """Young's modulus of the first by its pokes [Pa], and the ratios of the others to it; by the map's stiffness
         without pokes."""
@@ -457,7 +453,7 @@ class _Regions:
         found = np.where(np.isnan(found), self.level * np.nanmedian(found / self.level), found)
         return float(found[0]), tuple(float(one) for one in found[1:] / found[0])
 
-    def free(self, pokes: Sequence[MeasuredPoke]) -> list[bool]:
+    def free(self, pokes: Sequence[target_fit.MeasuredPoke]) -> list[bool]:
         """Which ratios the pokes can determine: those of regions with pokes, next to one more region with pokes."""
         known = {poke.material for poke in pokes}
         return [one in known and one != min(known) for one in range(1, len(self.level))]
@@ -466,7 +462,7 @@ class _Regions:
 # Reading -------------------------------------------------------------------------------------------------------------
 
 
-def _of_model(model: FittedModel, config: SimulateConfig) -> tuple[MeasuredSurface, list[MeasuredPoke]]:
+def _of_model(model: FittedModel, config: SimulateConfig) -> tuple[MeasuredSurface, list[target_fit.MeasuredPoke]]:
     """The surface of a model of layers, and its measured or predicted pokes."""
     if model.body != "layers" or model.thickness is None:
         hint = "fit pokes of a surface with --thickness-m"
@@ -487,12 +483,12 @@ def _of_model(model: FittedModel, config: SimulateConfig) -> tuple[MeasuredSurfa
     return MeasuredSurface(model.rest, model.thickness), found
 
 
-def _single(name: str, seen: SeenPoke) -> MeasuredPoke:
+def _single(name: str, seen: SeenPoke) -> target_fit.MeasuredPoke:
     """A poke at one depth: a ball's is deeper than the surface away from its axis."""
     rise = seen.tip.rise(seen.touched[:, :2] - seen.at[:2])
     if seen.tip.shape == "sphere" and np.isfinite(rise).any():
         seen = replace(seen, depth=float(np.median((rise - seen.touched_by[:, 2])[np.isfinite(rise)])))
-    return MeasuredPoke(name, seen, np.array([seen.depth]), np.array([seen.force]))
+    return target_fit.MeasuredPoke(name, seen, np.array([seen.depth]), np.array([seen.force]))
 
 
 def _regions(path: Path) -> _Regions:
@@ -505,7 +501,7 @@ def _regions(path: Path) -> _Regions:
     return _Regions(maps[-1].labels, maps[-1].cell_m, maps[-1].level_n_per_mm)
 
 
-def _of_recording(config: SimulateConfig) -> tuple[MeasuredSurface, list[MeasuredPoke]]:
+def _of_recording(config: SimulateConfig) -> tuple[MeasuredSurface, list[target_fit.MeasuredPoke]]:
     """The surface of a recorded exploration, and its touches of level foam."""
     results = [row.item for row in read_results(config.source, (SurfaceEstimate, TouchEstimate))]
     surfaces = [one for one in results if isinstance(one, SurfaceEstimate)]
@@ -526,7 +522,7 @@ def _of_recording(config: SimulateConfig) -> tuple[MeasuredSurface, list[Measure
         moved[:, 2] = touch.observed_m[:, 2] - touch.xyz_m[2]
         rest = touch.observed_m - moved
         seen = SeenPoke(touch.xyz_m, tip, touch.depth_m, rest, moved, rest, moved, None, float(force[-1]))
-        found.append(MeasuredPoke(f"touch {touch.number}", replace(seen, heights_only=True), depth, force))
+        found.append(target_fit.MeasuredPoke(f"touch {touch.number}", replace(seen, heights_only=True), depth, force))
     level, map_ = float(np.median([one.xyz_m[2] for one in touches])), surfaces[-1]
     y, x = (map_.cell_m * (np.indices(map_.height_m.shape) + 0.5)).reshape(2, -1)
     return MeasuredSurface(np.column_stack([x, y, np.full(x.size, level)]), thickness), found

@@ -6,17 +6,7 @@ from typing import Literal
 import rerun.blueprint as rrb
 
 from deformscope.frames import Stream
-from deformscope.log.exploration.display import (
-    FORCE,
-    GAIN,
-    HEIGHT,
-    INCLUSIONS,
-    INCLUSIONS_SUMMARY,
-    MAPS,
-    MISSED,
-    SECTION,
-    SUMMARY,
-)
+from deformscope.log.exploration import display
 from deformscope.log.exploration.perception import ERROR, PIXELS
 from deformscope.log.exploration.perception import MAPS as FIELD_MAPS
 from deformscope.log.exploration.scene import DENT, SCENE, SURFACE_FRAME
@@ -60,12 +50,18 @@ def exploration_blueprint(
     shown instead; inclusions: whether inclusions are sought: they replace beta
     tabs: most views are tabs, for a page, which has panels at both sides and may have to draw without a GPU
     compared: other settings, whose results are shown with the recorded ones (`tabs` alone)"""
-    maps = {name: _picture(path, title) for (name, title), path in zip(TITLES.items(), MAPS, strict=True)}
+    maps = {name: _picture(path, title) for (name, title), path in zip(TITLES.items(), display.MAPS, strict=True)}
     if inclusions:
-        maps |= {"beta": _picture(INCLUSIONS, "Inclusions"), "beta_deviation": _picture(MISSED, "What may be missed")}
-    gain, force = _picture(GAIN, "Gain of each place for the next touch"), _picture(FORCE, "Force over depth")
-    truly = maps["truth"] if truth else _picture(HEIGHT, "Surface")
-    words = INCLUSIONS_SUMMARY if inclusions else SUMMARY
+        maps |= {
+            "beta": _picture(display.INCLUSIONS, "Inclusions"),
+            "beta_deviation": _picture(display.MISSED, "What may be missed"),
+        }
+    gain, force = (
+        _picture(display.GAIN, "Gain of each place for the next touch"),
+        _picture(display.FORCE, "Force over depth"),
+    )
+    truly = maps["truth"] if truth else _picture(display.HEIGHT, "Surface")
+    words = display.INCLUSIONS_SUMMARY if inclusions else display.SUMMARY
     summary = rrb.TextDocumentView(contents=[f"+ /{words}"], origin=words, name="What is known")
     if tabs:
         fields = rrb.Tabs(maps["stiffness"], maps["stiffness_deviation"], maps["beta"], maps["beta_deviation"])
@@ -102,7 +98,7 @@ def _tabbed(views: Sequence[rrb.View]) -> rrb.Container | rrb.View:
 
 
 def _sections() -> list[rrb.View]:
-    return [_picture(SECTION, "The dent in section"), _picture(ERROR, "Error over beta")]
+    return [_picture(display.SECTION, "The dent in section"), _picture(ERROR, "Error over beta")]
 
 
 def _pixels() -> rrb.View:

@@ -11,17 +11,9 @@ from typing import cast
 import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray
+from deformscope.stages.map import plan
 from deformscope.stages.map.exploration import DetectionLimit
 from deformscope.stages.map.inclusion_posterior import DEPTHS_M, EXISTS, TIMES, InclusionPosterior
-from deformscope.stages.map.plan import (
-    ALLOWED,
-    PlannedPlaces,
-    PlanOptions,
-    TouchChoice,
-    exclusions,
-    largest_circle,
-    touch_seconds,
-)
 from deformscope.stages.regions.touches import MapGrid
 
 DETECTED = 0.6
@@ -36,20 +28,22 @@ LEAST_VARIANCE = 2e-5
 
 def plan_inclusion_touch(
     posterior: InclusionPosterior,
-    options: PlanOptions,
+    options: plan.PlanOptions,
     *,
     tip_m: FloatArray | None = None,
     left_out_m: FloatArray | None = None,
     reachable: BoolArray | None = None,
-) -> TouchChoice:
+) -> plan.TouchChoice:
     """The next touch, on cells half as wide as those of the map of gains; arguments as in `plan.plan_touch`. tip_m:
     (2,), left_out_m: (k, 2) [m]; reachable: (rows, columns) mask of the posterior's grid"""
     detected = posterior.state.exists >= DETECTED and len(posterior.touches) >= FEWEST
     gain_of = information_gain if detected else detection_probability
     if tip_m is None and left_out_m is not None and len(left_out_m):
         tip_m = left_out_m[-1]
-    planned = PlannedPlaces(posterior, replace(options, apart_m=0.75 * options.cell_m), tip_m, left_out_m, reachable)
-    circle = largest_circle(posterior.grid, planned.made_m)
+    planned = plan.PlannedPlaces(
+        posterior, replace(options, apart_m=0.75 * options.cell_m), tip_m, left_out_m, reachable
+    )
+    circle = plan.largest_circle(posterior.grid, planned.made_m)
     radii, missed = np.array(posterior.radii_m), posterior.missed
     limit = DetectionLimit(*circle, radii, missed, contrast=TIMES[0], prior=EXISTS, deepest_m=max(DEPTHS_M))
 
@@ -73,8 +67,8 @@ def plan_inclusion_touch(
     near = np.abs(finer.centres_m - choice.target_m).max(axis=1) < 0.8 * options.cell_m
     around = np.vstack([choice.target_m, finer.centres_m[near]])
     apart = replace(options, apart_m=0.75 * finer.cell_m)
-    worth = gains(around, exclusions(around, planned.made_m, posterior.grid, reachable, apart) == ALLOWED)
-    takes = touch_seconds(around, planned.tip_m, options)
+    worth = gains(around, plan.exclusions(around, planned.made_m, posterior.grid, reachable, apart) == plan.ALLOWED)
+    takes = plan.touch_seconds(around, planned.tip_m, options)
     best = int(np.nanargmax(worth / takes))
     reason = _why(posterior, detected, float(worth[best]), float(takes[best]))
     return replace(choice, target_m=around[best], reason=reason)

@@ -27,29 +27,8 @@ from deformscope.stages.fit.doubts import little_explained, not_converged, order
 from deformscope.stages.fit.estimate import Comparison, Doubt, limited
 from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.fit.search import Progress
-from deformscope.stages.materials import field_levels
+from deformscope.stages.materials import field_estimate, field_fit, field_levels
 from deformscope.stages.materials.cell_model import directional_modulus, elasticity
-from deformscope.stages.materials.field_estimate import (
-    WEAK_FACTOR,
-    DirectionalStiffness,
-    FieldEstimate,
-    FieldKind,
-    place_verdicts,
-)
-from deformscope.stages.materials.field_fit import (
-    LEAST_MOTION,
-    FieldFit,
-    FieldPoint,
-    Folds,
-    LeftOutError,
-    NoiseModel,
-    Rival,
-    StiffnessPrior,
-    in_whole_cells,
-    likeliest_noise,
-    posterior,
-    smooth_mean,
-)
 
 REACHES = (1.5, 3.0, 6.0, 12.0, 24.0)
 """How far the smooth field may hang together [spacings]: the strength of the prior."""
@@ -108,14 +87,14 @@ class Description:
     part; misfit: chi2 for each number; width: width of borders, as in `WIDTHS`, 0 = steps"""
 
     name: str
-    fit: FieldFit
+    fit: field_fit.FieldFit
     label: IntArray
-    prior: StiffnessPrior
-    point: FieldPoint
+    prior: field_fit.StiffnessPrior
+    point: field_fit.FieldPoint
     root: FloatArray
-    noise: NoiseModel
+    noise: field_fit.NoiseModel
     weight: float
-    judged: LeftOutError
+    judged: field_fit.LeftOutError
     misfit: float
     width: float = 0.0
 
@@ -173,10 +152,10 @@ class Description:
 
 def fit_field(
     seen: Observation, *, level: float = 0.9, seed: int = 0, device: str = "cpu", progress: Progress | None = None
-) -> tuple[FieldEstimate, Comparison]:
+) -> tuple[field_estimate.FieldEstimate, Comparison]:
     """A stiffness for each place of the observation, and the betas of the engine."""
-    seen = in_whole_cells(seen)
-    fit = FieldFit(seen, "elastic")
+    seen = field_fit.in_whole_cells(seen)
+    fit = field_fit.FieldFit(seen, "elastic")
     sds = float(ndtri(0.5 + 0.5 * level))
     steps = len(MATERIALS) + 3
 
@@ -205,14 +184,16 @@ def fit_field(
     explained = 1.0 - left / motion if motion > fit.size**2 * EXPLAINABLE else 0.0
     reasons = [*not_converged(chosen.point.converged), *_doubts(fit, chosen, differ)]
     reasons += little_explained(explained, left_is_noise=chosen.misfit < 2.0, seen=[seen])
-    verdicts = tuple(limited(one, reasons) for one in place_verdicts(np.exp(interval)))
-    kind: FieldKind = "gradual" if chosen.label[0] < 0 else "materials" if chosen.label.max() > 0 else "uniform"
+    verdicts = tuple(limited(one, reasons) for one in field_estimate.place_verdicts(np.exp(interval)))
+    kind: field_estimate.FieldKind = (
+        "gradual" if chosen.label[0] < 0 else "materials" if chosen.label.max() > 0 else "uniform"
+    )
     directions = None
     if chosen.fit.rival == "anisotropic":
         kind, directions = "anisotropic", _directions(chosen)
     determined = np.mean([one != "unidentified" for one in verdicts]) >= DETERMINED_LEAST
     contrasts = [one.contrast(edges, sds)[1] for one in included]
-    if kind in ("uniform", "anisotropic") and max(high for _, high in contrasts) > WEAK_FACTOR:
+    if kind in ("uniform", "anisotropic") and max(high for _, high in contrasts) > field_estimate.WEAK_FACTOR:
         determined = np.False_
     doubted = one_material < PLAUSIBLE and differ and kind in ("uniform", "anisotropic")
     if not determined or doubted or any(one.allows == "unidentified" for one in reasons):
@@ -224,7 +205,7 @@ def fit_field(
     d = seen.rest.shape[1]
     off = np.linalg.norm((chosen.point.state.moved - fit.displacement)[seen.observed], axis=1)
     stiffest = 1.0 - beta
-    estimate = FieldEstimate(
+    estimate = field_estimate.FieldEstimate(
         place=fit.place,
         spacing=fit.spacing,
         stiffness=np.exp(value),
@@ -264,7 +245,7 @@ def fit_field(
 
 
 def _descriptions(
-    fit: FieldFit, edges: IntArray, done: Callable[[int], None]
+    fit: field_fit.FieldFit, edges: IntArray, done: Callable[[int], None]
 ) -> tuple[float, list[Description], list[Description]]:
     """Correlation length of a smooth field [spacings]; all descriptions: smooth, one material, more, and last an
     anisotropic one and one with a smooth error; and others of as many materials, with other borders or wide ones."""
@@ -294,46 +275,50 @@ def _chosen(found: list[Description], probability: FloatArray) -> tuple[Descript
     return found[1 if plain >= DIRECTIONS_SHOWN * same else -1 if error >= PLAUSIBLE * same else -2], same
 
 
-def _smooth(fit: FieldFit) -> tuple[float, NoiseModel, FieldPoint]:
+def _smooth(fit: field_fit.FieldFit) -> tuple[float, field_fit.NoiseModel, field_fit.FieldPoint]:
     """How far the field hangs together, by blocks left out; the noise, and the likeliest field."""
     best, found = -np.inf, None
-    reach, noise, point = FIRST_REACH, NoiseModel(1.0, FIRST_NOISE * fit.size), None
+    reach, noise, point = FIRST_REACH, field_fit.NoiseModel(1.0, FIRST_NOISE * fit.size), None
     for _ in range(SMOOTH_ROUNDS):
         prior = fit.prior(reach)
         point = fit.fit(prior, noise, None if point is None else point.at)
-        noise, evidence = likeliest_noise(fit, prior, point)
+        noise, evidence = field_fit.likeliest_noise(fit, prior, point)
         if evidence > best:
             best, found = evidence, (reach, noise, point)
-        folds = Folds(fit, noise, point.state.response)
-        left_out = [folds.judge(point, fit.target, partial(smooth_mean, fit.prior(one))).total for one in REACHES]
+        folds = field_fit.Folds(fit, noise, point.state.response)
+        left_out = [
+            folds.judge(point, fit.target, partial(field_fit.smooth_mean, fit.prior(one))).total for one in REACHES
+        ]
         reach = REACHES[int(np.argmin(left_out))]
     assert found is not None
     return found
 
 
 def _described(
-    fit: FieldFit,
+    fit: field_fit.FieldFit,
     name: str,
-    prior: StiffnessPrior,
-    noise: NoiseModel,
-    point: FieldPoint,
+    prior: field_fit.StiffnessPrior,
+    noise: field_fit.NoiseModel,
+    point: field_fit.FieldPoint,
     label: IntArray | None = None,
     cost: float = 0.0,
     width: float = 0.0,
 ) -> Description:
     """With the noise that is likeliest under it. label: (C,) materials; cost, width: of their borders"""
-    noise, _ = likeliest_noise(fit, prior, point, near=noise)
+    noise, _ = field_fit.likeliest_noise(fit, prior, point, near=noise)
     point = fit.fit(prior, noise, point.at)
-    _, evidence = likeliest_noise(fit, prior, point, near=noise)
-    judged = Folds(fit, noise, point.state.response).judge(point, fit.target, partial(smooth_mean, prior))
+    _, evidence = field_fit.likeliest_noise(fit, prior, point, near=noise)
+    judged = field_fit.Folds(fit, noise, point.state.response).judge(
+        point, fit.target, partial(field_fit.smooth_mean, prior)
+    )
     root = fit.noise_root(noise, point.state.response)
     left = solve_triangular(root, fit.target - point.moved, lower=True)
     label = np.full(len(fit.cells), -1) if label is None else label
-    after, misfit = posterior(fit, prior, noise, point), float(left @ left) / len(left)
+    after, misfit = field_fit.posterior(fit, prior, noise, point), float(left @ left) / len(left)
     return Description(name, fit, label, prior, point, after, noise, evidence - cost, judged, misfit, width)
 
 
-def _materials(fit: FieldFit, found: list[Description], edges: IntArray, count: int) -> list[Description]:
+def _materials(fit: field_fit.FieldFit, found: list[Description], edges: IntArray, count: int) -> list[Description]:
     """Descriptions by this number of materials, with borders that were found from several starts, the most probable
     first; none if there are fewer. found: the smooth field, and fewer materials; edges: (n, 2) neighbouring cells"""
     smooth, noise = found[0], max(found, key=lambda one: one.weight).noise
@@ -357,7 +342,7 @@ def _materials(fit: FieldFit, found: list[Description], edges: IntArray, count: 
     return sorted(described, key=lambda one: -one.weight)
 
 
-def _wide(fit: FieldFit, one: Description, edges: IntArray) -> list[Description]:
+def _wide(fit: field_fit.FieldFit, one: Description, edges: IntArray) -> list[Description]:
     """The same materials with wide borders: a step leaves open how far they reach."""
     level, found = one._pure(edges) @ one.point.at[: len(one.label)], []
     cost = WIDE_COST * field_levels.border_length(one.label, edges)
@@ -369,7 +354,12 @@ def _wide(fit: FieldFit, one: Description, edges: IntArray) -> list[Description]
 
 
 def _found_from(
-    fit: FieldFit, noise: NoiseModel, label: IntArray, edges: IntArray, count: int, before: list[Description]
+    fit: field_fit.FieldFit,
+    noise: field_fit.NoiseModel,
+    label: IntArray,
+    edges: IntArray,
+    count: int,
+    before: list[Description],
 ) -> list[Description]:
     """Result of moving borders (C,), if it has this number of materials and was not found before."""
     least = fit.cells.shape[1]  # what is smaller is no more than a border that passes through cells
@@ -386,9 +376,11 @@ def _found_from(
     return [_described(fit, name, prior, noise, fit.fit(prior, noise, point.at), label, cost)]
 
 
-def _bordered(fit: FieldFit, noise: NoiseModel, label: IntArray, edges: IntArray) -> tuple[IntArray, FieldPoint]:
+def _bordered(
+    fit: field_fit.FieldFit, noise: field_fit.NoiseModel, label: IntArray, edges: IntArray
+) -> tuple[IntArray, field_fit.FieldPoint]:
     """Labels (C,) and the fit, of the borders of least chi2 and length found while moving them."""
-    tried: list[tuple[float, IntArray, FieldPoint]] = []
+    tried: list[tuple[float, IntArray, field_fit.FieldPoint]] = []
     point = None
     for _ in range(BORDER_ROUNDS):
         point = fit.fit(fit.levels(label), noise, None if point is None else point.at)
@@ -404,16 +396,16 @@ def _bordered(fit: FieldFit, noise: NoiseModel, label: IntArray, edges: IntArray
     return min(tried, key=lambda one: one[0])[1:]
 
 
-def _rival(uniform: Description, rival: Rival) -> Description:
+def _rival(uniform: Description, rival: field_fit.Rival) -> Description:
     """One material in all places that a rival distinguishes from the plain one."""
-    fit = FieldFit(uniform.fit.seen, "elastic", rival)
+    fit = field_fit.FieldFit(uniform.fit.seen, "elastic", rival)
     prior = fit.levels(uniform.label)
     point = fit.fit(prior, uniform.noise)
-    noise, _ = likeliest_noise(fit, prior, point)
+    noise, _ = field_fit.likeliest_noise(fit, prior, point)
     return _described(fit, f"one material, {rival}", prior, noise, fit.fit(prior, noise, point.at), uniform.label)
 
 
-def _directions(one: Description) -> DirectionalStiffness:
+def _directions(one: Description) -> field_estimate.DirectionalStiffness:
     """Along which direction an anisotropic material is stiffest, and over the softest how much. Directions are spread
     evenly over a half circle, or a half sphere (golden spiral)."""
     fit, d, at, turn = one.fit, one.fit.place.shape[1], one.point.at, np.arange(DIRECTIONS)
@@ -426,7 +418,7 @@ def _directions(one: Description) -> DirectionalStiffness:
         along = np.column_stack([flat * np.cos(angle), flat * np.sin(angle), up])
     found = directional_modulus(elasticity(d, fit.nu(at), fit.bent(at)), along)
     low, high = int(found.argmin()), int(found.argmax())
-    return DirectionalStiffness(along[high], along[low], ratio=float(found[high] / found[low]))
+    return field_estimate.DirectionalStiffness(along[high], along[low], ratio=float(found[high] / found[low]))
 
 
 def _hidden(one: Description) -> list[Description]:
@@ -438,7 +430,7 @@ def _hidden(one: Description) -> list[Description]:
             label = (along > np.quantile(along, share)).astype(np.int64)
             if label.any():
                 prior = fit.levels(label)
-                root = posterior(fit, prior, noise, one.point)
+                root = field_fit.posterior(fit, prior, noise, one.point)
                 found.append(replace(one, name=f"split {number} {share}", label=label, prior=prior, root=root))
     return found
 
@@ -448,14 +440,14 @@ def _betas(
 ) -> tuple[FloatArray, FloatArray, FloatArray, float]:
     """(C,) beta of each cell in the found places, (C, 2) its interval, and the engine's positions with them: (K, d) and
     their mean distance from the observation [unit]."""
-    fit = FieldFit(seen, "beta")
+    fit = field_fit.FieldFit(seen, "beta")
     prior = fit.prior(reach) if chosen.label[0] < 0 else fit.levels(chosen.label)
-    noise = NoiseModel(1.0, FIRST_NOISE * fit.size)
+    noise = field_fit.NoiseModel(1.0, FIRST_NOISE * fit.size)
     point = fit.fit(prior, noise)
     for _ in range(2):
-        noise, _ = likeliest_noise(fit, prior, point)
+        noise, _ = field_fit.likeliest_noise(fit, prior, point)
         point = fit.fit(prior, noise, point.at)
-    sd = np.sqrt((posterior(fit, prior, noise, point)[:-1] ** 2).sum(axis=1))
+    sd = np.sqrt((field_fit.posterior(fit, prior, noise, point)[:-1] ** 2).sum(axis=1))
     odds = point.at[:-1]
     beta, ends = expit(-odds), np.stack([expit(-odds - sds * sd), expit(-odds + sds * sd)], axis=1)
     model = Model(cluster_size=2, device=device)
@@ -472,7 +464,7 @@ def _absolute(
     """(C,) stiffness of each cell [N per unit], modulus times spacing (in the plane, times thickness), and its
     interval, by the net force on the touched particles."""
     fit, seen, count = chosen.fit, chosen.fit.seen, len(value)
-    if seen.force_n is None or not len(seen.touched) or fit.size <= LEAST_MOTION:
+    if seen.force_n is None or not len(seen.touched) or fit.size <= field_fit.LEAST_MOTION:
         return None, None
     q = chosen.root.shape[1]
     every = []
@@ -487,7 +479,7 @@ def _absolute(
     return np.exp(value + scale), np.exp(value[:, None] + reach + scale)
 
 
-def _doubts(fit: FieldFit, chosen: Description, differ: bool) -> Iterator[Doubt]:
+def _doubts(fit: field_fit.FieldFit, chosen: Description, differ: bool) -> Iterator[Doubt]:
     """Large strain, a setting that hides places, and an error that resembles them. differ: places that differ explain
     the observation, too"""
     sides = [fit.cells[:, [one, other]] for one, other in pairwise(range(fit.cells.shape[1]))]

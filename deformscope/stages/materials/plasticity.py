@@ -13,23 +13,8 @@ from deformscope.stages.fit.estimate import relative_verdict
 from deformscope.stages.fit.least_squares import Minimum, Noise
 from deformscope.stages.fit.motion import Motion
 from deformscope.stages.fit.search import Progress
+from deformscope.stages.materials import yield_evidence
 from deformscope.stages.materials.yield_estimate import Parameter, YieldEstimate
-from deformscope.stages.materials.yield_evidence import (
-    DIFFERENCE,
-    LEAST_SHARE,
-    deepest_valleys,
-    elastic_minimum,
-    excess_over,
-    interval_ends,
-    least_noise,
-    parameter_bounds,
-    prescribed_noise,
-    shared_errors,
-    strain_grid,
-    strain_profile,
-    without_yielding,
-    yield_doubts,
-)
 from deformscope.stages.materials.yield_history import SETTLED, YieldHistories, YieldOptions
 
 SURE = 0.99
@@ -49,18 +34,23 @@ def fit_yield(motion: Motion, options: YieldOptions | None = None, progress: Pro
     note = progress or (lambda what, done, total: None)
     observed = histories.observed
     note("elastic", 0, 4)
-    elastic = elastic_minimum(histories)
+    elastic = yield_evidence.elastic_minimum(histories)
     elastic_beta = histories.shrink(elastic.at[0]) if options.beta is None else options.beta
-    unyielded, largest = without_yielding(histories, elastic_beta)
+    unyielded, largest = yield_evidence.without_yielding(histories, elastic_beta)
     note("search", 1, 4)
-    starts = deepest_valleys(histories, largest)
+    starts = yield_evidence.deepest_valleys(histories, largest)
     note("descent", 2, 4)
-    bounds, difference = parameter_bounds(histories, largest), np.full(starts.shape[1], DIFFERENCE)
+    bounds, difference = (
+        yield_evidence.parameter_bounds(histories, largest),
+        np.full(starts.shape[1], yield_evidence.DIFFERENCE),
+    )
     ends = [least_squares.minimise(histories.simulate, observed, start, bounds, difference) for start in starts]
     best = min(ends, key=lambda end: end.squares if np.isfinite(end.squares) else np.inf)
     note("interval", 3, 4)
-    repeats, tried = prescribed_noise(histories, best, np.random.default_rng(options.seed))
-    own = least_squares.shared_noise(best.residual, len(best.at), repeats, tried, least_noise(histories)).deviation
+    repeats, tried = yield_evidence.prescribed_noise(histories, best, np.random.default_rng(options.seed))
+    own = least_squares.shared_noise(
+        best.residual, len(best.at), repeats, tried, yield_evidence.least_noise(histories)
+    ).deviation
     # Noise of the prescribed positions strains clusters that the true motion left alone, so that they flow, and the
     # yield strain would come out too high. As much noise again shows by how much the simulation moves on average
     # (simulation extrapolation: Cook and Stefanski 1994), growing as the noise's variance.
@@ -68,14 +58,14 @@ def fit_yield(motion: Motion, options: YieldOptions | None = None, progress: Pro
     best = least_squares.minimise(histories.simulate, observed + shift, best.at, bounds, difference)
     # All that the fit left, though part of it is the prescribed positions' doing: yielding answers to noise more than
     # linearly. With this, 90 % intervals held the truth in 72 of 83 simulated presses; with `own`, in 26 of 32.
-    noise = Noise(tried, repeats - repeats.mean(axis=0), shared_errors(histories, best))
-    grid = strain_grid(best, noise, largest)
-    curve = strain_profile(histories, best, noise, grid)
-    never = excess_over(best, noise, elastic.simulated, elastic.squares)
+    noise = Noise(tried, repeats - repeats.mean(axis=0), yield_evidence.shared_errors(histories, best))
+    grid = yield_evidence.strain_grid(best, noise, largest)
+    curve = yield_evidence.strain_profile(histories, best, noise, grid)
+    never = yield_evidence.excess_over(best, noise, elastic.simulated, elastic.squares)
     limit = least_squares.worse_than(options.level)
     inside = np.flatnonzero(curve.excess <= limit)
     value = float(np.exp(best.at[0]))
-    low, high = interval_ends(curve.grid, curve.excess, inside, value, limit)
+    low, high = yield_evidence.interval_ends(curve.grid, curve.excess, inside, value, limit)
     open_ = never <= least_squares.worse_than(SURE)
     # flow that counts as over leaves strains this far from the yield strain
     low = min(low, value * (1.0 - SETTLED))
@@ -83,9 +73,9 @@ def fit_yield(motion: Motion, options: YieldOptions | None = None, progress: Pro
     converged = bool(best.converged and np.isfinite(best.jacobian).all())
     simulated = histories.history(best.at)
     explained = histories.explained(simulated)
-    reasons = yield_doubts(histories, best, simulated, explained, converged=converged)
+    reasons = yield_evidence.yield_doubts(histories, best, simulated, explained, converged=converged)
     verdict = relative_verdict(value, (low, np.inf if high_end is None else high_end), reasons)
-    if verdict != "unidentified" and value <= LEAST_SHARE * largest * 1.001:
+    if verdict != "unidentified" and value <= yield_evidence.LEAST_SHARE * largest * 1.001:
         verdict = "at-bound"
     covariance = noise.covariance(best.jacobian)
     half = least_squares.half_width(covariance, options.level, observed.size - len(best.at))

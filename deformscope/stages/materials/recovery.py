@@ -26,16 +26,9 @@ from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.results.declared import derived, reported
 from deformscope.results.render import ReportedResult
+from deformscope.stages.fit import relaxation
 from deformscope.stages.fit.creep_spectra import FASTEST, Spectrum, spectra
 from deformscope.stages.fit.estimate import Doubt, LengthUnit
-from deformscope.stages.fit.relaxation import (
-    DrawnModel,
-    ForceKept,
-    kept_of,
-    median_and_interval,
-    relaxation_modes,
-    relaxation_posterior,
-)
 
 SET_MEDIAN, SET_SPREAD = 0.06, 1.0
 """Log-normal prior of the share that is kept: 1 to 40 % [assumed]."""
@@ -105,7 +98,7 @@ class RecoveryEstimate(ReportedResult):
         )
     )
     time_s: Number = field(metadata=reported("mean relaxation time", key="relaxation_time_s", shown_unit="s"))
-    force_kept: tuple[ForceKept, ...] = field(
+    force_kept: tuple[relaxation.ForceKept, ...] = field(
         metadata=reported(
             "force, held in place", words=lambda found: "; ".join(map(str, (found.force_kept[0], found.force_kept[-1])))
         )
@@ -173,7 +166,9 @@ def fit_recovery(
     models = [(spectrum, kept) for spectrum in law.spectra for kept in (False, True)]
     fitted = [law.fitted(*one) for one in models]
     random = np.random.default_rng(seed)
-    drawn, draws = relaxation_posterior([(one, fit) for (one, _), fit in zip(models, fitted, strict=True)], random)
+    drawn, draws = relaxation.relaxation_posterior(
+        [(one, fit) for (one, _), fit in zip(models, fitted, strict=True)], random
+    )
     kept = np.concatenate([law.kept(one, with_set) for one, (_, with_set) in zip(drawn, models, strict=True)])
     stiffness = np.concatenate([law.stiffness(one) for one in drawn])
     watched_s, record_s, weight = law.watched_s, law.record_s, draws.weight
@@ -193,16 +188,16 @@ def fit_recovery(
     relaxed = _per_unit(stiffness * (1.0 - share), weight, largest, level)
     if seen.reasons or seen.open:
         relaxed = Number(relaxed.interval[1] if seen.reasons else relaxed.value, (0.0, relaxed.interval[1]))
-    stays, (least, most) = median_and_interval(kept, weight, level)
+    stays, (least, most) = relaxation.median_and_interval(kept, weight, level)
     unseen = weight * ~seen.within
     if (seen.reasons or seen.open) and unseen.any():  # a part of the set may be a slow recovery
-        least = min(least, median_and_interval(kept, unseen, level)[1][0])
+        least = min(least, relaxation.median_and_interval(kept, unseen, level)[1][0])
     parts = np.split(weight, np.cumsum([len(one) for one in drawn])[:-1])
     middle = int(np.argmax([part.sum() for part in parts]))
     simulated = np.full(len(time_s), np.nan)
     simulated[released:] = law.simulated(fitted[middle].likeliest(), *models[middle])[0][0]
     return RecoveryEstimate(
-        share=Number(*seen.bounded(*median_and_interval(share, shared, level), 1.0)),
+        share=Number(*seen.bounded(*relaxation.median_and_interval(share, shared, level), 1.0)),
         time_s=Number(*seen.bounded(*mean_time, np.inf)),
         set=Number(stays, (least, most)),
         instant=_per_unit(stiffness, weight, largest, level) if force_n is not None else None,
@@ -210,7 +205,7 @@ def fit_recovery(
         verdict=verdict,
         level=level,
         reasons=seen.reasons,
-        force_kept=kept_of(some.strength, some.retarded_s, np.ones(FORCE_DRAWS), law.ramp_s, record_s),
+        force_kept=relaxation.kept_of(some.strength, some.retarded_s, np.ones(FORCE_DRAWS), law.ramp_s, record_s),
         explained=1.0,
         held_s=float(time_s[released - 1] - time_s[_begin(amplitude)]),
         watched_s=watched_s,
@@ -224,7 +219,7 @@ def fit_recovery(
 
 
 def _per_unit(stiffness: FloatArray, weight: FloatArray, largest: float, level: float) -> Number:
-    return Number(*median_and_interval(stiffness / largest, weight, level))
+    return Number(*relaxation.median_and_interval(stiffness / largest, weight, level))
 
 
 def _verdict(share: FloatArray, kept: FloatArray, weight: FloatArray) -> RecoveryBehaviour:
@@ -309,13 +304,13 @@ class _RecoveryLaw:
         shared = np.sqrt((1.0 + np.clip(alike, 0.0, 0.9)) / (1.0 - np.clip(alike, 0.0, 0.9)))
         self.sd *= size * float(shared)
 
-    def fitted(self, spectrum: Spectrum, kept: bool) -> DrawnModel:
+    def fitted(self, spectrum: Spectrum, kept: bool) -> relaxation.DrawnModel:
         """One spectrum with all choices of its nodes, with or without a set, as it is fitted."""
         mean, spread = spectrum.priors()
         force = self._force is not None
         own = [0.0, 0.5, *[0.0] * force, *[float(np.log(SET_MEDIAN))] * kept]
         own_spread = [OFFSET_SD, BETWEEN_SD, *[np.inf] * force, *[SET_SPREAD] * kept]
-        return DrawnModel(
+        return relaxation.DrawnModel(
             np.hstack([np.broadcast_to(own, (len(mean), len(own))), mean]),
             np.append(own_spread, spread),
             spectrum.prior,
@@ -378,7 +373,7 @@ def _driven(
 ) -> tuple[FloatArray, FloatArray]:
     """(d, T) reduction of the force by branches (d, b) under a displacement (d, T) that is linear from frame to frame,
     `gap_s` (T - 1,) apart, each step exact; and (d, b) the branches at its end."""
-    rate, mode, push = relaxation_modes(strength, retarded)
+    rate, mode, push = relaxation.relaxation_modes(strength, retarded)
     turn = -rate * gap_s[:, None, None]
     first = np.expm1(turn) / turn
     before, rise = amplitude.T[:-1, :, None], np.diff(amplitude.T, axis=0)[..., None]

@@ -9,18 +9,8 @@ from scipy.ndimage import minimum_filter1d
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.stages.fit import least_squares
+from deformscope.stages.fit import doubts, least_squares
 from deformscope.stages.fit.calibrate import BETA_LIMIT, TURNED, Observation, shape_doubts
-from deformscope.stages.fit.doubts import (
-    LIKE_NOISE,
-    bulging,
-    little_explained,
-    noise_contradicted,
-    not_converged,
-    ordered,
-    residual_ratio,
-    swapped_axes,
-)
 from deformscope.stages.fit.estimate import Doubt
 from deformscope.stages.fit.least_squares import Minimum, Noise
 from deformscope.stages.fit.noise import independent, shared_over
@@ -227,16 +217,16 @@ def yield_doubts(
     """Reasons to doubt the yield strain. simulated: (T, K, d) at the best"""
     rows = np.flatnonzero(histories.judged.any(axis=1))
     frames = [histories.frame(row) for row in rows]
-    ratio = residual_ratio(frames, list(simulated[rows]), histories.resolved)
+    ratio = doubts.residual_ratio(frames, list(simulated[rows]), histories.resolved)
     found = [
-        *not_converged(converged),
-        *little_explained(explained, left_is_noise=ratio is not None and ratio < LIKE_NOISE, seen=frames),
-        *noise_contradicted(ratio, histories.motion.noise_source),
+        *doubts.not_converged(converged),
+        *doubts.little_explained(explained, left_is_noise=ratio is not None and ratio < doubts.LIKE_NOISE, seen=frames),
+        *doubts.noise_contradicted(ratio, histories.motion.noise_source),
         *shape_doubts(frames),
     ]
     if converged:
         found += _in_residuals(histories, best, rows, frames, simulated)
-    return ordered(found)
+    return doubts.ordered(found)
 
 
 def _in_residuals(
@@ -257,7 +247,7 @@ def _in_residuals(
         return [states[:, at] for at in rows]
 
     bodies = [histories.body.holding(one.held) for one in frames]
-    yield from swapped_axes(frames, simulate, bulging(frames, bodies, tried))
+    yield from doubts.swapped_axes(frames, simulate, doubts.bulging(frames, bodies, tried))
     if histories.body.cluster_count < 2:
         return
     # at the frame with the largest motion: errors of all frames are much the same

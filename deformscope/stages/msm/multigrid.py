@@ -23,17 +23,11 @@ from scipy.sparse import block_diag, csr_array
 from scipy.spatial import cKDTree
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.stages.msm import multigrid_kernels
 from deformscope.stages.msm.body import Body, BodyRest, Parameters
 from deformscope.stages.msm.clusters import FLAT_MOMENT_RATIO, LatticeClusters
 from deformscope.stages.msm.lattice import FILL, RESIDENT_CELLS, LatticeBody
 from deformscope.stages.msm.layout import Field, Layout, upload
-from deformscope.stages.msm.multigrid_kernels import (
-    Cells,
-    Transfer,
-    gather_kernel_for,
-    smoother_for,
-    transfer_kernels_for,
-)
 from deformscope.stages.msm.newton_functions import sum_functions_for
 
 Launch: TypeAlias = Callable[[], None]
@@ -210,7 +204,7 @@ class _Level:
         span.abreast, span.blocks = layout.abreast, layout.blocks
         span.front, span.group, span.stride = layout.front, layout.group, layout.stride
         self.span = span
-        self.smooth = smoother_for(d, layout.width)
+        self.smooth = multigrid_kernels.smoother_for(d, layout.width)
         self.every_group = wp.full(layout.groups, 1, dtype=int, device=layout.device)
 
     def set(self, beta: FloatArray, theta: FloatArray) -> bool:
@@ -236,7 +230,7 @@ class _Level:
 
 
 def _cells(layout: Layout, body: LatticeBody) -> Any:
-    cells = Cells()
+    cells = multigrid_kernels.Cells()
     cells.front, cells.group, cells.stride, cells.abreast = layout.front, layout.group, layout.stride, layout.abreast
     cells.cells_0, cells.cells_1, cells.cells_2 = body.shape
     return cells
@@ -247,7 +241,7 @@ class Multigrid:
 
     def __init__(self, body: LatticeBody, rest: BodyRest, layout: Layout, size: int, volume: int) -> None:
         self.layout = layout
-        self.kernels = transfer_kernels_for(body.dim, body.scalar)
+        self.kernels = multigrid_kernels.transfer_kernels_for(body.dim, body.scalar)
         body.coarse = body.coarse or levels_of(body, rest)
         self.levels = [_Level(level, each, size, volume) for level, each in body.coarse]
         self._between = [self._transfers(*pair) for pair in zip(self.levels, self.levels[1:], strict=False)]
@@ -287,7 +281,7 @@ class Multigrid:
 
         def launch(weights: Any, source: _Level, target: _Level, fields: tuple[Any, ...], out: Field) -> Launch:
             """fields: two that are added, and the weights of the cells of source and target"""
-            transfer = Transfer()
+            transfer = multigrid_kernels.Transfer()
             transfer.begin, transfer.plane = upload(weights.indptr, int, device), upload(weights.indices, int, device)
             transfer.weight = upload(weights.data, wp.float32, device)
             given: list[Any] = [
@@ -305,7 +299,7 @@ class Multigrid:
             inputs, each_cell = [transfer, source.place, target.place, *given], target.body.count
             candidates = target.layout.groups * abreast
             rows_each = dim if candidates * each_cell >= FILL else 1  # a small lattice has threads to spare
-            kernel = gather_kernel_for(rows_each, int(np.diff(weights.indptr).max()))
+            kernel = multigrid_kernels.gather_kernel_for(rows_each, int(np.diff(weights.indptr).max()))
             threads = (candidates, dim // rows_each, each_cell)
             return functools.partial(wp.launch, kernel, threads, inputs, [out], device=device)
 

@@ -15,16 +15,8 @@ from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.results.declared import reported
 from deformscope.results.render import ReportedResult
+from deformscope.stages.poke import indentation
 from deformscope.stages.poke.contact import Z_90
-from deformscope.stages.poke.indentation import (
-    OWN_EXPONENT_SD,
-    IndentCurve,
-    IndentEstimate,
-    IndentSample,
-    SplitCurve,
-    combine,
-    fit_indentation,
-)
 from deformscope.stages.regions.touches import LAW_SD
 
 CAUSES = ("force gain", "depth scale", "tip radius", "compliance", "clock")
@@ -50,7 +42,7 @@ class KnownSample:
     name: str
     modulus_pa: float
     modulus_sd: float
-    lies: IndentSample
+    lies: indentation.IndentSample
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,7 +61,7 @@ class RigBias(ReportedResult):
     causes: dict[str, tuple[float, float, float, float]] = field(
         metadata=reported("causes", words=lambda found: found.causes_text)
     )
-    curves: tuple[IndentEstimate, ...]
+    curves: tuple[indentation.IndentEstimate, ...]
 
     @property
     def off_text(self) -> str:
@@ -86,12 +78,12 @@ class RigBias(ReportedResult):
         return ", ".join(text(name, by * one[0], by * Z_90 * one[1], unit, one[2]) for name, one, by, unit in each)
 
 
-def _means(curves: Sequence[IndentCurve], sample: IndentSample) -> FloatArray:
+def _means(curves: Sequence[indentation.IndentCurve], sample: indentation.IndentSample) -> FloatArray:
     """(n, 6) means over parts of both ways: z [m], force [N], speed [m/s], deviation of z [m], number of the touch, and
     1 on the way back."""
     rows = []
     for number, curve in enumerate(curves):
-        poke = SplitCurve(curve, sample)
+        poke = indentation.SplitCurve(curve, sample)
         if poke.time_s is None:
             raise InputError("touches with times", "none", where=curve.name)
         upto = poke.within_law()[0]
@@ -136,7 +128,7 @@ class _Rig:
         self.thick, self.nu = thick / np.log(1.02), -other / 0.02
         self.plane_slope = 2.0 * nu / (1.0 - nu**2)  # of log E*, over Poisson's ratio
         own = [np.hypot(known.modulus_sd, LAW_SD), sample.thickness_sd, max((high - low) / 12.0**0.5, 1e-6)]
-        own += [OWN_EXPONENT_SD, LOSS_SD, *[max(PLACES_SD, scatter)] * count, *[1.0] * count]
+        own += [indentation.OWN_EXPONENT_SD, LOSS_SD, *[max(PLACES_SD, scatter)] * count, *[1.0] * count]
         self.prior, self.start = np.array([*tolerance, *own]), np.zeros(10 + 2 * count)
         self.start[-count:] = [self.at_m[one].min() for one in each]
 
@@ -176,11 +168,13 @@ class _Rig:
         return np.array([1.0, steep, tip, steep * force / depth, 0.0, 1.0, thick, nu + self.plane_slope])
 
 
-def certify_rig(curves: Sequence[IndentCurve], known: KnownSample, tolerance: Sequence[float] = TOLERANCE) -> RigBias:
+def certify_rig(
+    curves: Sequence[indentation.IndentCurve], known: KnownSample, tolerance: Sequence[float] = TOLERANCE
+) -> RigBias:
     """The bias of a rig and its causes by touches of a sample of known modulus. tolerance: deviations (5,) of causes
     that are not off. Raises the errors of `fit_indentation`, and InputError for touches that disagree."""
-    estimates = [fit_indentation(one, known.lies, creep=False) for one in curves]
-    read = combine(estimates)
+    estimates = [indentation.fit_indentation(one, known.lies, creep=False) for one in curves]
+    read = indentation.combine(estimates)
     if abs(np.log(read.modulus_pa / known.modulus_pa)) > np.log(MOST_TIMES) + 2.0 * known.modulus_sd:
         expected = f"a reading within {MOST_TIMES:g} times of the sample's {known.modulus_pa / 1e3:.3g} kPa"
         raise InputError(expected, f"{read.modulus_pa / 1e3:.3g} kPa", "the sample's name, the tip's radius")

@@ -14,17 +14,7 @@ from deformscope.errors import InputError
 from deformscope.results.declared import derived, reported
 from deformscope.results.render import ReportedResult
 from deformscope.stages.fit.estimate import Doubt, Verdict, relative_verdict
-from deformscope.stages.poke.contact import (
-    EXPONENT,
-    EXPONENT_SD,
-    LOADED,
-    Z_90,
-    ArmCompliance,
-    ContactFit,
-    fit_approach,
-    peak_rate,
-    power_law,
-)
+from deformscope.stages.poke import contact
 from deformscope.stages.poke.creep import CreepFit, cycle_loss, drift_rate, fit_creep
 from deformscope.stages.poke.tip_law import Ground, Indenter, TipLaw
 from deformscope.stages.regions.touches import LAW_SD
@@ -230,7 +220,7 @@ class SplitCurve:
         pull = -float(min(smooth[min(AIR, self.began) : self.loaded].min(), smooth[self.held - 1 :].min()))
         self.pull_n = pull if pull > max(4.0 * self.noise_n, NAMED * self.peak_n) else 0.0
         scatter = max(_scatter(self.given_m[self.began : self.loaded]), 2e-4 * self.travel_m)
-        self.machine = ArmCompliance(0.0, sample.machine_sd * self.softness, scatter)
+        self.machine = contact.ArmCompliance(0.0, sample.machine_sd * self.softness, scatter)
 
     def _split(self, smooth: FloatArray) -> None:
         top_m = float(self.given_m.max())
@@ -255,7 +245,7 @@ class SplitCurve:
         at = np.arange(len(self.force_n), dtype=np.float64) if self.time_s is None else self.time_s
         # where the force of a cone is seen, it has touched for a while
         hidden = max(float(smoothed(self.force_n)[self.began]) / self.peak_n, 0.0) ** (
-            1.0 / EXPONENT[self.sample.tip.kind]
+            1.0 / contact.EXPONENT[self.sample.tip.kind]
         )
         top_m, began_m = float(self.given_m[self.loaded - 1]), float(self.given_m[self.began])
         free = self.given_m < began_m - 1.3 * (top_m - began_m) * hidden / (1.0 - min(hidden, 0.9))
@@ -287,28 +277,28 @@ class SplitCurve:
         """The tip's law, up to the deepest dent that it is fitted to."""
         return self.sample.law(min(1.2 * self.travel_m, 2.0 * self.sample.limit_m), poisson)
 
-    def fit(self, upto: int, exponent_sd: float, law: TipLaw) -> ContactFit:
+    def fit(self, upto: int, exponent_sd: float, law: TipLaw) -> contact.ContactFit:
         """The contact stage on the loading up to a sample."""
-        return self._fit(self.depth_m[:upto], self.force_n[:upto], exponent_sd, LOADED, law)
+        return self._fit(self.depth_m[:upto], self.force_n[:upto], exponent_sd, contact.LOADED, law)
 
     def _fit(
         self, depth_m: FloatArray, force_n: FloatArray, exponent_sd: float, least: float, law: TipLaw | None
-    ) -> ContactFit:
+    ) -> contact.ContactFit:
         """The contact stage, in scales of the curve; without a law, a power law."""
         scale_m, scale_n = self.scale
         soft_sd = self.machine.compliance_sd * scale_n / scale_m
-        return fit_approach(
+        return contact.fit_approach(
             np.arange(len(depth_m), dtype=np.float64),
             -depth_m[:, None] / scale_m * _DOWN,
             force_n[:, None] / scale_n * _DOWN,
             _DOWN,
             tip=self.sample.tip.kind,
             set_force_n=float(force_n.max()) / scale_n,
-            arm=ArmCompliance(0.0, soft_sd, self.machine.position_sd_m / scale_m),
+            arm=contact.ArmCompliance(0.0, soft_sd, self.machine.position_sd_m / scale_m),
             force_sd_n=self.noise_n / scale_n,
             exponent_sd=exponent_sd,
             least_share=least,
-            dents=power_law if law is None else partial(law.dents, scale_m=scale_m),
+            dents=contact.power_law if law is None else partial(law.dents, scale_m=scale_m),
         )
 
     @property
@@ -316,11 +306,11 @@ class SplitCurve:
         """A metre and a newton of the contact stage [m, N]."""
         return self.travel_m / LENGTH, self.peak_n / FORCE
 
-    def dent_m(self, fit: ContactFit) -> float:
+    def dent_m(self, fit: contact.ContactFit) -> float:
         """Dent of a fit [m]."""
         return fit.depth_m * self.scale[0]
 
-    def plane_pa(self, fit: ContactFit, law: TipLaw) -> float:
+    def plane_pa(self, fit: contact.ContactFit, law: TipLaw) -> float:
         """E* of a fit [Pa]."""
         return fit.at_force_n * self.scale[1] / float(law.response(self.dent_m(fit)))
 
@@ -328,13 +318,13 @@ class SplitCurve:
         """Sample up to which the loading follows the law of small strain, the deviation of the exponent there, and what
         was left out."""
         law, whole, reasons = self.law(0.5 * sum(self.sample.poisson)), self.loaded, list[Doubt]()
-        limit_m, found = self.sample.limit_m, self.fit(whole, EXPONENT_SD, law)
+        limit_m, found = self.sample.limit_m, self.fit(whole, contact.EXPONENT_SD, law)
         for _ in range(TRIMS):  # contact is found too deep with what does not follow the law
             deep = self.depth_m[:whole] > found.contact_m * self.scale[0] + limit_m
             at = max(int(np.argmax(deep)), self.began + FEWEST)
             if not deep.any() or self.dent_m(found) <= limit_m or at >= whole:
                 break
-            whole, found = at, self.fit(at, EXPONENT_SD, law)
+            whole, found = at, self.fit(at, contact.EXPONENT_SD, law)
         if whole != self.loaded:
             text = f"dents beyond {1e3 * limit_m:.3g} mm are left out: the law is of small strain"
             reasons.append(Doubt("large-strain", text))
@@ -343,7 +333,7 @@ class SplitCurve:
             at = whole if cut == 1.0 else int(np.argmax(loading >= cut * loading.max())) + 1
             if cut < 1.0 and at - self.began < FEWEST:
                 break
-            upto, found = at, self.fit(at, EXPONENT_SD, law)
+            upto, found = at, self.fit(at, contact.EXPONENT_SD, law)
             follows = abs(found.exponent - law.exponent) < LAW_OFF * law.exponent + 2.0 * found.exponent_sd
             if follows:
                 break
@@ -357,9 +347,9 @@ class SplitCurve:
         if upto != whole or not follows:
             text = f"the curve leaves the law of a {self.sample.tip} at a depth of {1e3 * dent_m:.3g} mm"
             reasons.append(Doubt("large-strain", text, None if follows else "weak"))
-        return upto, OWN_EXPONENT_SD if follows else EXPONENT_SD, reasons
+        return upto, OWN_EXPONENT_SD if follows else contact.EXPONENT_SD, reasons
 
-    def bend(self, fit: ContactFit, law: TipLaw) -> float:
+    def bend(self, fit: contact.ContactFit, law: TipLaw) -> float:
         """Log of the force over the law's at twice the fitted dent, 0 where it is small or not known: a sample that
         stiffens looks like a stiff one that is touched later, all the more as noise hides how it begins."""
         contact_m, dent_m = fit.contact_m * self.scale[0], self.dent_m(fit)
@@ -386,7 +376,7 @@ class SplitCurve:
             found.append(Doubt("short-record", text, "unidentified" if "begins" in few else "weak"))
         return found
 
-    def shares(self, fit: ContactFit, law: TipLaw, bend: float) -> tuple[ModulusShare, ...]:
+    def shares(self, fit: contact.ContactFit, law: TipLaw, bend: float) -> tuple[ModulusShare, ...]:
         """Deviations of log E*, by their causes. bend: see `bend`"""
         sample, dent_m, steep = self.sample, self.dent_m(fit), law.steepness(self.dent_m(fit))
         bent_m = self.machine.compliance_sd * fit.at_force_n * self.scale[1]
@@ -494,7 +484,7 @@ def fit_indentation(curve: IndentCurve, sample: IndentSample, *, creep: bool = T
     dents = np.maximum(poke.depth_m - contact_m, 0.0)
     times, loading, smooth = poke.time_s, slice(poke.began, poke.loaded), smoothed(poke.force_n)
     sphere_m = sample.tip.radius_m if sample.tip.kind == "sphere" else None
-    around_m = Z_90 * fit.contact_sd_m * poke.scale[0]
+    around_m = contact.Z_90 * fit.contact_sd_m * poke.scale[0]
     return IndentEstimate(
         name=curve.name,
         modulus_pa=value,
@@ -517,7 +507,9 @@ def fit_indentation(curve: IndentCurve, sample: IndentSample, *, creep: bool = T
         pull_off_n=poke.pull_n or None,
         adhesion_j_per_m2=2.0 * poke.pull_n / (3.0 * np.pi * sphere_m) if sphere_m and poke.pull_n else None,
         drift_n_per_s=poke.rate_n_per_s,
-        rate_n_per_s=None if times is None else peak_rate(times[loading], poke.force_n[loading], poke.noise_n)[0],
+        rate_n_per_s=None
+        if times is None
+        else contact.peak_rate(times[loading], poke.force_n[loading], poke.noise_n)[0],
         shares=(
             *shares,
             ModulusShare("Poisson's ratio", 0.5 * float(np.ptp(young_log))),
@@ -608,8 +600,8 @@ def combine(estimates: Sequence[IndentEstimate]) -> IndentSummary:
     weight = 1.0 / (own**2 + scatter2)
     mean, sd2 = float(weight @ log / weight.sum()), float(1.0 / weight.sum())
     best = estimates[int(np.argmin(own))]
-    common = np.abs(np.log(np.array(best.modulus_interval_pa) / best.modulus_pa)) / Z_90
-    low, high = Z_90 * np.sqrt(np.maximum(common**2 - own.min() ** 2, 0.0) + sd2)
+    common = np.abs(np.log(np.array(best.modulus_interval_pa) / best.modulus_pa)) / contact.Z_90
+    low, high = contact.Z_90 * np.sqrt(np.maximum(common**2 - own.min() ** 2, 0.0) + sd2)
     value, interval = float(np.exp(mean)), (float(np.exp(mean - low)), float(np.exp(mean + high)))
     return IndentSummary(
         curves=len(log),

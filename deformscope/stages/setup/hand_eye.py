@@ -11,17 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.errors import InputError
+from deformscope.stages.setup import transform
 from deformscope.stages.setup.board import CharucoSpec, LensEstimate, SeenBoard, board_pose, lens
-from deformscope.stages.setup.transform import (
-    ErrorPrior,
-    TransformEstimate,
-    deviation,
-    fitted,
-    moved,
-    rigid,
-    superposed,
-    transform_of,
-)
 
 FEWEST_VIEWS = 6
 LEAST_SPREAD_RAD = np.radians(7.0)
@@ -32,7 +23,7 @@ NEAR_BASE_M = 0.3
 """A camera that is nearer to the arm's base, and nearer than the board to the arm's end, is the board, seen from it."""
 LEVER_M = 0.2
 """Distance from the board at which a rotation counts as much as a translation."""
-TOUCHED = ErrorPrior(0.002)
+TOUCHED = transform.ErrorPrior(0.002)
 """Deviation between a place as it was touched and as the camera sees it [m]."""
 TURNS_DEG = (-30.0, 30.0)
 WEIGHT = np.repeat([1.0, LEVER_M], 3)
@@ -45,8 +36,8 @@ class HandEye:
     """T_arm_camera: camera to base frame; T_ee_board: board to the arm's end
     off: (n, 6) offset of each view, in the board's frame [m, rad]"""
 
-    T_arm_camera: TransformEstimate
-    T_ee_board: TransformEstimate
+    T_arm_camera: transform.TransformEstimate
+    T_ee_board: transform.TransformEstimate
     off: FloatArray
 
 
@@ -85,8 +76,8 @@ def jackknifed(T_arm_camera: FloatArray, T_ee_board: FloatArray, without: FloatA
     off: as in HandEye"""
     apart = without - without.mean(axis=0)
     covariance = (len(apart) - 1.0) / len(apart) * apart.T @ apart
-    camera = TransformEstimate(T_arm_camera, covariance[:6, :6], len(apart) - 2.0)
-    return HandEye(camera, TransformEstimate(T_ee_board, covariance[6:, 6:], len(apart) - 2.0), off)
+    camera = transform.TransformEstimate(T_arm_camera, covariance[:6, :6], len(apart) - 2.0)
+    return HandEye(camera, transform.TransformEstimate(T_ee_board, covariance[6:, 6:], len(apart) - 2.0), off)
 
 
 def _solved(A: FloatArray, B: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -95,7 +86,7 @@ def _solved(A: FloatArray, B: FloatArray) -> tuple[FloatArray, FloatArray, Float
     for _ in range(STEPS):
         J = _jacobian(A, B, X, Y) * WEIGHT[:, None]
         step = -np.linalg.lstsq(J.reshape(-1, 12), (_off(A, B, X, Y) * WEIGHT).ravel(), rcond=None)[0]
-        X, Y = moved(X, step[:6]), moved(Y, step[6:])
+        X, Y = transform.moved(X, step[:6]), transform.moved(Y, step[6:])
     return X, Y, _off(A, B, X, Y)
 
 
@@ -154,7 +145,7 @@ def check_turns(T_base_ee: FloatArray) -> None:
 
 def _off(A: FloatArray, B: FloatArray, X: FloatArray, Y: FloatArray) -> FloatArray:
     """(n, 6) from the board's pose by the arm to its pose by the camera, in the board's frame."""
-    return deviation(np.broadcast_to(np.eye(4), A.shape), np.linalg.inv(A @ Y) @ (X @ B))
+    return transform.deviation(np.broadcast_to(np.eye(4), A.shape), np.linalg.inv(A @ Y) @ (X @ B))
 
 
 def _start(A: FloatArray, B: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -170,7 +161,7 @@ def _start(A: FloatArray, B: FloatArray) -> tuple[FloatArray, FloatArray]:
     design = np.concatenate([np.broadcast_to(np.eye(3), (len(A), 3, 3)), -A[:, :3, :3]], axis=2).reshape(-1, 6)
     wanted = (A[:, :3, 3] - B[:, :3, 3] @ turn_x.T).ravel()
     ways = np.linalg.lstsq(design, wanted, rcond=None)[0]
-    return rigid(turn_x, ways[:3]), rigid(turn_y, ways[3:])
+    return transform.rigid(turn_x, ways[:3]), transform.rigid(turn_y, ways[3:])
 
 
 def _nearest(matrix: FloatArray) -> FloatArray:
@@ -218,7 +209,7 @@ def next_pose(T_base_ee: FloatArray) -> tuple[FloatArray, str]:
             gained = float(np.prod(np.linalg.eigvalsh(centred.T @ centred) + np.radians(3.0) ** 2))
             if gained > most * (1.0 + 1e-9):
                 most, way, turned_by = gained, more, f"{angle_deg:+.0f} degrees about its own {'xyz'[axis]} axis"
-    T = rigid((mean * Rotation.from_rotvec(way)).as_matrix(), poses[:, :3, 3].mean(axis=0))
+    T = transform.rigid((mean * Rotation.from_rotvec(way)).as_matrix(), poses[:, :3, 3].mean(axis=0))
     return T, f"from the middle of the poses turn the arm's end by {turned_by}, the board in view"
 
 
@@ -226,7 +217,7 @@ def next_pose(T_base_ee: FloatArray) -> tuple[FloatArray, str]:
 class CameraFromTouches:
     """T_arm_camera: camera to base frame; off_m: (n,) offset of each place; sd_m: deviation of a place [m]"""
 
-    T_arm_camera: TransformEstimate
+    T_arm_camera: transform.TransformEstimate
     off_m: FloatArray
     sd_m: float
 
@@ -240,18 +231,18 @@ def camera_from_touches(touched_m: FloatArray, seen_m: FloatArray) -> CameraFrom
     wide_m = np.linalg.svd(touched - touched.mean(axis=0), compute_uv=False) / np.sqrt(len(touched))
     if wide_m[1] < 0.02:
         raise InputError("places that are not in one line", f"{1e3 * wide_m[1]:.0f} mm off one", "touch off that line")
-    start = superposed(seen, touched)
+    start = transform.superposed(seen, touched)
 
     def off_m(values: FloatArray) -> FloatArray:
-        T = moved(start, values)
+        T = transform.moved(start, values)
         return seen @ T[:3, :3].T + T[:3, 3] - touched
 
-    found = fitted(lambda values: off_m(values).ravel(), np.zeros(6), TOUCHED)
+    found = transform.fitted(lambda values: off_m(values).ravel(), np.zeros(6), TOUCHED)
     far_m = np.linalg.norm(off_m(found.value), axis=1)
     if found.scatter > 10.0 * TOUCHED.sd:
         came = f"place {int(np.argmax(far_m)) + 1} off by {1e3 * far_m.max():.0f} mm"
         raise InputError("places that belong together", came, "touch the marked places, in the same order")
-    return CameraFromTouches(transform_of(found, start), far_m, found.sd)
+    return CameraFromTouches(transform.transform_of(found, start), far_m, found.sd)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -310,7 +301,7 @@ def _poses(views: Sequence[SeenBoard], known: KnownLens, board: CharucoSpec) -> 
     return np.array([board_pose(view, known.focal_px, known.center_px, known.distortion, board) for view in views])
 
 
-def doubt_at(T_arm_camera: TransformEstimate, place_m: FloatArray) -> float:
+def doubt_at(T_arm_camera: transform.TransformEstimate, place_m: FloatArray) -> float:
     """How far off a place (3,) [m, base frame] may be seen: half its interval, along the direction of the widest."""
     arm_m = np.asarray(place_m, np.float64) - T_arm_camera.T[:3, 3]
     turned = -np.array([[0.0, -arm_m[2], arm_m[1]], [arm_m[2], 0.0, -arm_m[0]], [-arm_m[1], arm_m[0], 0.0]])

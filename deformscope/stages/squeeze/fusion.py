@@ -9,17 +9,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
-from deformscope.stages.squeeze.classifiers import (
-    FOLDS,
-    NAMES,
-    Classifier,
-    Name,
-    columns_of,
-    fitter,
-    folds_of,
-    log_softmax,
-    usable,
-)
+from deformscope.stages.squeeze import classifiers
 
 MODALITY_DEVIATION, CLASS_DEVIATION, OFFSET_DEVIATION = 1.0, 0.3, 1.0
 """Priors: weights of modalities are normal about 1 (Bayes' rule for modalities with independent errors), those of
@@ -38,7 +28,7 @@ class Pool:
     def log_posterior(self, logs: FloatArray, present: BoolArray) -> FloatArray:
         """(n, C) from (M, n, C) logarithms of posteriors; present: (M, n), a missing modality has no effect."""
         score: FloatArray = np.einsum("mnc,mc->nc", np.where(present[..., None], logs, 0.0), self.weight)
-        return log_softmax(score + self.offset)
+        return classifiers.log_softmax(score + self.offset)
 
 
 def fit_pool(
@@ -52,7 +42,7 @@ def fit_pool(
 
     def loss(parameters: FloatArray) -> tuple[float, FloatArray]:
         weight, offset = parameters[:-classes].reshape(modalities, classes), parameters[-classes:]
-        log_posterior = log_softmax(np.einsum("mnc,mc->nc", shown, weight) + offset)
+        log_posterior = classifiers.log_softmax(np.einsum("mnc,mc->nc", shown, weight) + offset)
         wrong = np.exp(log_posterior)
         wrong[row, target] -= 1.0
         mean = weight.mean(axis=1, keepdims=True)
@@ -80,9 +70,9 @@ def fit_pool(
 class Member:
     """A classifier of a modality. name: which; columns: number of components that it takes, None = all"""
 
-    name: Name
+    name: classifiers.Name
     columns: int | None
-    classifier: Classifier
+    classifier: classifiers.Classifier
 
     def log_posterior(self, test: FloatArray) -> FloatArray:
         """(m, C) of (m, d) components."""
@@ -124,16 +114,16 @@ def fit_expert(
 
     points: (n, d) components of the training side, the first `kept` of which hold 80 % of the variance; raw: columns
     before the rotation; apart: (n,) groups that are left out together, or None"""
-    fold = folds_of(target, apart, seed)
+    fold = classifiers.folds_of(target, apart, seed)
     known = np.zeros(len(target), dtype=bool)
-    for one in range(FOLDS):
+    for one in range(classifiers.FOLDS):
         inside = fold == one
         known[inside] = np.isin(target[inside], target[~inside])
     members, said = [], []
-    for name in (one for one in NAMES if usable(one, raw)):
-        columns = columns_of(name, kept)
+    for name in (one for one in classifiers.NAMES if classifiers.usable(one, raw)):
+        columns = classifiers.columns_of(name, kept)
         chosen = points[:, :columns]
-        fitting = fitter(name, chosen, target, classes, fold)
+        fitting = classifiers.fitter(name, chosen, target, classes, fold)
         logs = np.full((len(target), classes), -np.log(classes))
         for one in np.unique(fold):
             inside = fold == one

@@ -9,19 +9,9 @@ import scipy
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.results.declared import derived, reported
+from deformscope.stages.squeeze import scores
 from deformscope.stages.squeeze.groupings import trained_on
 from deformscope.stages.squeeze.model import ContentModel
-from deformscope.stages.squeeze.scores import (
-    ClassificationScore,
-    Estimated,
-    Interval,
-    balanced_worth,
-    clusters,
-    reliability_of,
-    share_among_new,
-    trials_worth,
-    wilson,
-)
 from deformscope.stages.squeeze.table import LabelledTable
 from deformscope.stages.squeeze.trial_run import joined_name
 
@@ -46,10 +36,10 @@ class ModelCheck:
     farthest first"""
 
     labels: tuple[str, ...]
-    score: ClassificationScore
-    alone: Mapping[str, ClassificationScore]
-    promised: Estimated | None = field(metadata=reported(interval_key="promised_interval"))
-    expected: Interval | None = field(metadata=reported(key="expected_interval"))
+    score: scores.ClassificationScore
+    alone: Mapping[str, scores.ClassificationScore]
+    promised: scores.Estimated | None = field(metadata=reported(interval_key="promised_interval"))
+    expected: scores.Interval | None = field(metadata=reported(key="expected_interval"))
     inside: tuple[int, int]
     calibrated: float = field(metadata=reported(key="calibrated_p"))
     trained: int = field(default=0, metadata=reported(key="trained_on"))
@@ -98,9 +88,11 @@ def check_model(model: ContentModel, table: LabelledTable, *, level: float = 0.9
     value, interval = model.promised.get("accuracy"), model.promised.get("interval")
     if isinstance(value, float | int) and isinstance(interval, Sequence):
         low, high = map(float, interval)
-        promised = Estimated(float(value), (low, high))
+        promised = scores.Estimated(float(value), (low, high))
         stated = model.promised.get("level", level)
-        expected = share_among_new(promised, score.worth, level, float(stated) if isinstance(stated, float) else level)
+        expected = scores.share_among_new(
+            promised, score.worth, level, float(stated) if isinstance(stated, float) else level
+        )
     calibrated = _calibrated(posterior, score, seed)
     trained = int(trained_on(table, model.seen)[rows].sum())
     return ModelCheck(
@@ -132,7 +124,7 @@ def score_of(
     rows: IntArray,
     names: tuple[str, ...],
     level: float,
-) -> ClassificationScore:
+) -> scores.ClassificationScore:
     """The score as that of an evaluation, for trials that each were answered once. posterior: (n, classes); rows: (n,)
     indices of these trials in the table"""
     target = targets(model, table, rows)
@@ -145,28 +137,28 @@ def score_of(
     seen = trials > 0
     recall = np.diagonal(confusion)[seen] / trials[seen]
     log_truth = np.log(posterior[np.arange(len(rows)), target])
-    size, correlation = clusters(table.group, rows, log_truth)
-    worth = trials_worth(size, correlation=correlation)
-    reliability = reliability_of(sure, right, 1.0, level)
+    size, correlation = scores.clusters(table.group, rows, log_truth)
+    worth = scores.trials_worth(size, correlation=correlation)
+    reliability = scores.reliability_of(sure, right, 1.0, level)
     filled = reliability.count > 0
     error = np.abs(reliability.sure - reliability.right)[filled] @ reliability.count[filled] / len(rows)
     over = float(sure.mean() - right.mean())
     accuracy, balanced = float(right.mean()), float(recall.mean())
     spread = np.hypot((sure - right).std() / np.sqrt(len(rows)), 1.0 / worth)
     half = float(scipy.stats.norm.ppf(0.5 + level / 2) * spread)
-    return ClassificationScore(
+    return scores.ClassificationScore(
         modality=joined_name(names),
         method="late-fusion" if len(names) > 1 else "pooled",
         protocol="new",
         fusion="late" if len(names) > 1 else "none",
-        accuracy=Estimated(accuracy, wilson(accuracy, worth, level)),
-        balanced=Estimated(balanced, wilson(balanced, balanced_worth(worth, trials), level)),
+        accuracy=scores.Estimated(accuracy, scores.wilson(accuracy, worth, level)),
+        balanced=scores.Estimated(balanced, scores.wilson(balanced, scores.balanced_worth(worth, trials), level)),
         chance=float(trials.max() / len(rows)),
         confusion=confusion,
         trials=trials,
         worth=worth,
         calibration_error=float(error),
-        overconfidence=Estimated(over, (over - half, over + half)),
+        overconfidence=scores.Estimated(over, (over - half, over + half)),
         log_loss=float(-log_truth.mean()),
         reliability=reliability,
         components=float("nan"),
@@ -176,7 +168,7 @@ def score_of(
     )
 
 
-def _calibrated(posterior: FloatArray, score: ClassificationScore, seed: int) -> float:
+def _calibrated(posterior: FloatArray, score: scores.ClassificationScore, seed: int) -> float:
     """p-value of the calibration of a posterior (n, classes). Answers are drawn that are right as often as their
     posteriors say. The distance from the diagonal is the sum over the bins of (right - expected)^2 over its
     variance."""

@@ -2,17 +2,8 @@
 
 import pytest
 
+from deformscope_drivers.contract import kinds
 from deformscope_drivers.contract.devices import DeviceContract
-from deformscope_drivers.contract.kinds import (
-    CONTRACTS,
-    ArmContract,
-    ColorContract,
-    DepthContract,
-    ForceContract,
-    HandContract,
-    KindContract,
-    TactileContract,
-)
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.interface import DRIVERS, DeviceDriver
 
@@ -37,41 +28,41 @@ class TestEveryDevice(DeviceContract):
     @pytest.fixture(params=_of(""))
     def driver(self, request: pytest.FixtureRequest) -> DeviceDriver:
         driver = DRIVERS[request.param]
-        self.scene = CONTRACTS[driver.kind]().scene  # type: ignore[method-assign]
+        self.scene = kinds.CONTRACTS[driver.kind]().scene  # type: ignore[method-assign]
         return driver
 
 
-class _Installed(KindContract):
+class _Installed(kinds.KindContract):
     @pytest.fixture
     def driver(self, request: pytest.FixtureRequest) -> DeviceDriver:
         return DRIVERS[request.param]
 
 
 @pytest.mark.parametrize("driver", _of("wrench"), indirect=True)
-class TestForceSensors(_Installed, ForceContract):
+class TestForceSensors(_Installed, kinds.ForceContract):
     pass
 
 
 @pytest.mark.parametrize("driver", _of("color"), indirect=True)
-class TestColorCameras(_Installed, ColorContract):
+class TestColorCameras(_Installed, kinds.ColorContract):
     pass
 
 
 @pytest.mark.parametrize("driver", _of("depth"), indirect=True)
-class TestDepthCameras(_Installed, DepthContract):
+class TestDepthCameras(_Installed, kinds.DepthContract):
     pass
 
 
 @pytest.mark.parametrize("driver", _of("tactile"), indirect=True)
-class TestTactileArrays(_Installed, TactileContract):
+class TestTactileArrays(_Installed, kinds.TactileContract):
     pass
 
 
 @pytest.mark.parametrize("driver", _of("hand"), indirect=True)
-class TestHands(_Installed, HandContract):
+class TestHands(_Installed, kinds.HandContract):
     pass
 
 
 @pytest.mark.parametrize("driver", _of("arm"), indirect=True)
-class TestArms(_Installed, ArmContract):
+class TestArms(_Installed, kinds.ArmContract):
     pass

@@ -12,20 +12,8 @@ from typing import cast
 from deformscope_drivers.arm.device import ArmState
 from deformscope_drivers.arm.kinematics import Chain, euler_xyz_from_rotation
 from deformscope_drivers.clock import Clock, Stamp
+from deformscope_drivers.jaco import structures
 from deformscope_drivers.jaco.library import Functions, read
-from deformscope_drivers.jaco.structures import (
-    FINGER_CLOSED,
-    HOMED,
-    AngularPosition,
-    CartesianPosition,
-    QuickStatus,
-    SensorsInfo,
-    TrajectoryFIFO,
-    actuator_values,
-    cartesian_values,
-    finger_values,
-    sensor_temperatures,
-)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,13 +45,16 @@ RATES_OVER_NS = 40_000_000
 
 _ANGLES = "GetAngularPosition"
 _IN_TURN: dict[str, type[ctypes.Structure]] = {
-    "GetGlobalTrajectoryInfo": TrajectoryFIFO,
-    "GetAngularForceGravityFree": AngularPosition,
-    "GetCartesianForce": CartesianPosition,
-    "GetAngularCurrent": AngularPosition,
+    "GetGlobalTrajectoryInfo": structures.TrajectoryFIFO,
+    "GetAngularForceGravityFree": structures.AngularPosition,
+    "GetCartesianForce": structures.CartesianPosition,
+    "GetAngularCurrent": structures.AngularPosition,
 }
-_SELDOM: dict[str, type[ctypes.Structure]] = {"GetSensorsInfo": SensorsInfo, "GetQuickStatus": QuickStatus}
-_KINDS: dict[str, type[ctypes.Structure]] = {_ANGLES: AngularPosition, **_IN_TURN, **_SELDOM}
+_SELDOM: dict[str, type[ctypes.Structure]] = {
+    "GetSensorsInfo": structures.SensorsInfo,
+    "GetQuickStatus": structures.QuickStatus,
+}
+_KINDS: dict[str, type[ctypes.Structure]] = {_ANGLES: structures.AngularPosition, **_IN_TURN, **_SELDOM}
 
 
 class StateReader:
@@ -135,13 +126,13 @@ class StateReader:
         self._call(_ANGLES)
         self._left = len(_IN_TURN)
         stamp = Stamp(self._read_ns[_ANGLES])
-        joints = cast(AngularPosition, self._read[_ANGLES])
-        joints_deg = actuator_values(joints.Actuators, self._chain.joint_count)
+        joints = cast(structures.AngularPosition, self._read[_ANGLES])
+        joints_deg = structures.actuator_values(joints.Actuators, self._chain.joint_count)
         pose = self._chain.end_effector(joints_deg)
         x, y, z = (float(value) for value in pose[:3, 3])
         theta_x, theta_y, theta_z = (float(value) for value in euler_xyz_from_rotation(pose[:3, :3]))
-        fifo = cast(TrajectoryFIFO, self._read["GetGlobalTrajectoryInfo"])
-        sensors = cast(SensorsInfo, self._read["GetSensorsInfo"])
+        fifo = cast(structures.TrajectoryFIFO, self._read["GetGlobalTrajectoryInfo"])
+        sensors = cast(structures.SensorsInfo, self._read["GetSensorsInfo"])
         return JacoState(
             stamp=stamp,
             sweep_s=(stamp.host_ns - min(self._read_ns[name] for name in _IN_TURN)) / 1e9,
@@ -151,13 +142,15 @@ class StateReader:
             currents_a=self._joints("GetAngularCurrent"),
             position_m=(x, y, z),
             theta_rad=(theta_x, theta_y, theta_z),
-            wrench=cartesian_values(cast(CartesianPosition, self._read["GetCartesianForce"]).Coordinates),
-            fingers=tuple(one / FINGER_CLOSED for one in finger_values(joints.Fingers)),
+            wrench=structures.cartesian_values(
+                cast(structures.CartesianPosition, self._read["GetCartesianForce"]).Coordinates
+            ),
+            fingers=tuple(one / structures.FINGER_CLOSED for one in structures.finger_values(joints.Fingers)),
             fifo_count=fifo.TrajectoryCount,
             supply_v=sensors.Voltage,
             supply_a=sensors.Current,
-            temperatures_deg_c=sensor_temperatures(sensors, self._chain.joint_count),
-            homed=cast(QuickStatus, self._read["GetQuickStatus"]).RetractType in HOMED,
+            temperatures_deg_c=structures.sensor_temperatures(sensors, self._chain.joint_count),
+            homed=cast(structures.QuickStatus, self._read["GetQuickStatus"]).RetractType in structures.HOMED,
         )
 
     def _rates_deg_s(self, time_ns: int, joints_deg: tuple[float, ...]) -> tuple[float, ...]:
@@ -178,4 +171,6 @@ class StateReader:
         )
 
     def _joints(self, name: str) -> tuple[float, ...]:
-        return actuator_values(cast(AngularPosition, self._read[name]).Actuators, self._chain.joint_count)
+        return structures.actuator_values(
+            cast(structures.AngularPosition, self._read[name]).Actuators, self._chain.joint_count
+        )
