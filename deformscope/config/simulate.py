@@ -57,15 +57,18 @@ class SimulateConfig(RecordedOptions):
     """Time limit [s], after which the best fit so far is the result."""
     output: OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
 
+    @property
+    def recorded(self) -> bool:
+        return self.source.suffix.lower() == ".rrd"
+
     def check(self) -> None:
         either("--held-out", "--against with --poke", self.held_out, self.against and self.poke)
         either("--spacing-m", "--vertices", self.spacing_m, self.vertices != 1500)
-        recorded = self.source.suffix.lower() == ".rrd"
-        if recorded and (self.against or self.poke):
+        if self.recorded and (self.against or self.poke):
             raise InputError("a model with --against or --poke", "a recording, which has its own pokes")
-        if not recorded and not (self.against or self.poke):
+        if not self.recorded and not (self.against or self.poke):
             raise InputError("pokes of the model's surface", "none", "--against PAIR.npz..., or --poke")
-        if recorded != (self.tip is not None):
-            raise InputError("--tip with a recording, and with it alone", "other", "--tip sphere:0.02")
+        if self.tip is not None and not self.recorded:
+            raise InputError("--tip with a recording", "with a model, whose pokes have theirs")
         if self.tip is not None and self.tip.kind == "cone":
             raise InputError("a sphere, a disc or a flat tip", "a cone")

@@ -21,6 +21,7 @@ from deformscope.pictures.palette import SIMULATED as MSM
 from deformscope.pictures.report import ColoredBody, ComparedSurfaces, Figure, Findings, Table
 from deformscope.plain import Json, plain
 from deformscope.recording.items import read_results
+from deformscope.recording.reader import Replay
 from deformscope.runs.prediction import poke_of
 from deformscope.runs.result import SourceResult, open_recorder
 from deformscope.session import Step
@@ -265,7 +266,7 @@ def simulate(config: SimulateConfig, progress: Progress | None = None) -> Simula
     """Read the pokes, write the body, press and fit it, and record all of it. Raises InputError."""
     began = time.monotonic()
     quiet_warp()
-    model = None if config.tip is not None else load_model(config.source)
+    model = None if config.recorded else load_model(config.source)
     regions = _Regions(np.zeros((1, 1), np.int64), 1.0, np.ones(1)) if model is not None else _regions(config.source)
     surface, pokes = _of_recording(config) if model is None else _of_model(model, config)
     pokes = [replace(one, material=int(regions.at(one.seen.at[None, :2])[0])) for one in pokes]
@@ -506,9 +507,13 @@ def _of_recording(config: SimulateConfig) -> tuple[MeasuredSurface, list[target_
     results = [row.item for row in read_results(config.source, (SurfaceEstimate, TouchEstimate))]
     surfaces = [one for one in results if isinstance(one, SurfaceEstimate)]
     touches = [one for one in results if isinstance(one, TouchEstimate) and one.usable and one.normal[2] > LEVEL]
-    if not surfaces or not touches or config.tip is None:
-        came = f"{len(surfaces)} surfaces and {len(touches)} touches"
-        raise InputError("a recording of an exploration", came, "deformscope explore ... --record", config.source)
+    if not surfaces or not touches:
+        kind = Replay(config.source).identity[0].partition("-")[2] or "images"
+        came = f"one of kind {kind}: {len(surfaces)} surfaces and {len(touches)} touches"
+        hint = "a model of 3-D pokes: deformscope calibrate beta POKE.npz... --thickness-m 0.03 --save MODEL.npz"
+        raise InputError("a recording of an exploration, or a model of a slab", came, hint, config.source)
+    if config.tip is None:
+        raise InputError("--tip with a recording", "none", "--tip sphere:0.02", config.source)
     known = [one.thickness_m for one in touches if one.thickness_m is not None]
     thickness = config.thickness_m or surfaces[-1].layer_m or (float(np.median(known)) if known else None)
     if thickness is None:

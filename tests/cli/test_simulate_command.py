@@ -169,6 +169,25 @@ def test_a_recording_has_its_own_pokes(folder: Path, capsys: Capture) -> None:
     assert told["measured"]["young_pa"] == pytest.approx(np.mean([one.modulus_pa for one in touches]), rel=0.1)
 
 
+@pytest.mark.parametrize("tip", [[], ["--tip", "sphere:0.02"]])
+def test_the_recording_of_a_pair_is_refused_in_one_line(folder: Path, tip: list[str], capsys: Capture) -> None:
+    """Whether of a sheet or of a poke, and before a flag is missed: it has no surface, thickness or depth of a tip."""
+    sheet = np.stack(np.meshgrid(np.linspace(0.0, 0.1, 9), np.linspace(0.0, 0.05, 5)), -1).reshape(-1, 2)
+    ends = np.flatnonzero(np.isin(sheet[:, 0], (0.0, 0.1)))
+    np.savez(folder / "sheet.npz", rest=sheet, deformed=sheet * (1.05, 1.0), held=ends)
+    slab = ["--thickness-m", str(THICKNESS), "--spacing-m", str(SPACING), "--cluster-size", "3"]
+    for pair, kind, flags in (("sheet", "pair", []), ("poke0", "pair-3d", slab)):
+        record = folder / f"{pair}-recorded.rrd"
+        fit = ["calibrate", "beta", str(folder / f"{pair}.npz"), *flags, *QUIET, "--record", str(record), "--overwrite"]
+        assert main(fit) == 0
+        capsys.readouterr()
+        assert main(["simulate", str(record), "--in", "mujoco", "--out", str(folder / "refused"), *tip, *QUIET]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert f"got one of kind {kind}: 0 surfaces and 0 touches | try: a model of 3-D pokes" in line
+    assert main(["simulate", str(SHIPPED), "--in", "mujoco", "--out", str(folder / "refused"), *QUIET]) == 2
+    assert "--tip with a recording" in capsys.readouterr().err
+
+
 def test_predict_sets_the_simulator_beside_the_model(folder: Path, tmp_path: Path, capsys: Capture) -> None:
     """The stand-in is fitted to one measured poke, and answers as a column; the model's force is that without --in."""
     model, poke = str(folder / "model.npz"), ["--poke", "at=0.09,0.08 depth=0.001", *QUIET, "--json", "-"]
