@@ -352,7 +352,9 @@ class Explorer:
         creep, search, sample, self._trained = None, None, None, None
         if contact is not None:
             if not contact.fit.rigid:
-                creep = self._stage("creep", lambda: touch_fit.fit_touch_creep(touched, self.surface, self._arm))
+                creep = self._stage(
+                    "creep", lambda: touch_fit.fit_touch_creep(touched, self.surface, self._arm, self._error.off_n)
+                )
             contact, sample = self._sample(approach, contact, creep)
             if sample is not None:
                 search = self._stage("regions", partial(self.search.with_touch, sample))

@@ -73,8 +73,10 @@ def fit_contact(
     return TouchContact(fit, law_n, modulus, speed_m_s)
 
 
-def fit_touch_creep(touched: TouchMeasurement, surface: SeenSurface, arm: ArmCompliance) -> CreepFit | None:
-    """Creep of a touch that was measured with a hold; None for any other touch."""
+def fit_touch_creep(
+    touched: TouchMeasurement, surface: SeenSurface, arm: ArmCompliance, off_n: float = 0.0
+) -> CreepFit | None:
+    """Creep of a touch with a hold; None for any other. off_n: deviation of the force's offset [N]"""
     if touched.loading is None or touched.held is None:
         return None
     return fit_creep(
@@ -88,6 +90,7 @@ def fit_touch_creep(touched: TouchMeasurement, surface: SeenSurface, arm: ArmCom
         arm=arm,
         radius_m=surface.options.tip_radius_m,
         clock_sd_s=CLOCK_SD_S,
+        off_n=off_n,
     )
 
 

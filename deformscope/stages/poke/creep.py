@@ -170,12 +170,15 @@ def fit_creep(
     arm: ArmCompliance | None = None,
     radius_m: float | None = None,
     clock_sd_s: float = 0.0,
+    off_n: float = 0.0,
 ) -> CreepFit:
     """Fit the law to a touch that came down, held and, if it was recorded, went back.
 
     time_s (n,), position_m (n, 3), force_n (n, 3), normal (3,), set_force_n, arm: as in `contact.fit_approach`
     radius_m: radius of a ball, whose dents are not small relative to it; None: the law is a power law at all depths
     clock_sd_s: deviation of the force's times against the place's, which the energy loss is sensitive to
+    off_n: deviation of a constant error of the force, as of an arm's own: it is in both stiffnesses, and cancels in the
+    share and the time
     loading: how many samples lead up to the set force; held: how many were taken until the tip went back
 
     Raises InputError where the touch holds nothing to fit, as `fit_approach` does."""
@@ -196,7 +199,8 @@ def fit_creep(
     # without a reason, verdict and time are of what relaxes within the hold
     weight = draws.weight
     judged = weight * (seen.within if not seen.reasons else 1.0)
-    instant = 1e-3 * set_force_n / draws.depth_m
+    offset = np.random.default_rng(1).standard_normal(len(weight))
+    instant = 1e-3 * set_force_n / draws.depth_m * np.exp(off_n / set_force_n * offset)
     share = seen.share
     viscous = float(judged[share > ELASTIC_MOST].sum() / judged.sum())
     kept = _kept(draws, time_s, z_m, force, held, arm, force_sd)
