@@ -177,8 +177,8 @@ def fit_creep(
     time_s (n,), position_m (n, 3), force_n (n, 3), normal (3,), set_force_n, arm: as in `contact.fit_approach`
     radius_m: radius of a ball, whose dents are not small relative to it; None: the law is a power law at all depths
     clock_sd_s: deviation of the force's times against the place's, which the energy loss is sensitive to
-    off_n: deviation of a constant error of the force (an arm's own has one): it is in both stiffnesses, and cancels in the
-    share and the time
+    off_n: deviation of a constant error of the force (an arm's own has one): it is in both stiffnesses, and cancels
+    in the share and the time
     loading: how many samples lead up to the set force; held: how many were taken until the tip went back
 
     Raises InputError where the touch holds nothing to fit, as `fit_approach` does."""
