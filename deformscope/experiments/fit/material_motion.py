@@ -25,7 +25,7 @@ from deformscope.stages.materials.field_estimate import FieldEstimate
 from deformscope.stages.materials.plasticity import fit_yield, simulate_yielding
 from deformscope.stages.materials.recovery import RecoveryEstimate, fit_recovery
 from deformscope.stages.materials.yield_estimate import YieldEstimate
-from deformscope.stages.materials.yield_history import YieldOptions
+from deformscope.stages.materials.yield_evidence import YieldOptions
 from deformscope.stages.msm.materials import AxisBeta
 from deformscope.stages.see.particles import select_held
 

@@ -15,7 +15,7 @@ from deformscope.stages.fit.motion import Motion
 from deformscope.stages.fit.search import Progress
 from deformscope.stages.materials import yield_evidence
 from deformscope.stages.materials.yield_estimate import Parameter, YieldEstimate
-from deformscope.stages.materials.yield_history import SETTLED, YieldHistories, YieldOptions
+from deformscope.stages.materials.yield_evidence import SETTLED, YieldHistories, YieldOptions
 
 SURE = 0.99
 """Level at which a body without yielding is rejected."""
