@@ -31,9 +31,8 @@ from deformscope.pictures.report import Table
 from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.fit.motion import Motion
 from deformscope.stages.materials.anisotropy import fit_axes
-from deformscope.stages.materials.plasticity import fit_yield
+from deformscope.stages.materials.plasticity import YieldOptions, fit_yield
 from deformscope.stages.materials.recovery import RecoveryEstimate
-from deformscope.stages.materials.yield_evidence import YieldOptions
 from deformscope.stages.msm import clusters
 from deformscope.stages.msm.materials import AxisBeta, Plasticity
 from deformscope.stages.msm.plastic import PlasticMsm

@@ -16,8 +16,7 @@ from deformscope.stages.fit.calibrate import FitOptions, Model, Observation, cal
 from deformscope.stages.fit.estimate import Doubt, Estimate, Identifiability, Verdict, limited
 from deformscope.stages.fit.two_materials import INCLUSIONS, LEFT, LEFT_SURE, splits
 from deformscope.stages.materials.anisotropy import fit_axes
-from deformscope.stages.materials.plasticity import fit_yield
-from deformscope.stages.materials.yield_evidence import YieldOptions
+from deformscope.stages.materials.plasticity import YieldOptions, fit_yield
 from deformscope.stages.msm.materials import Plasticity
 from deformscope.stages.msm.plastic import PlasticMsm
 from studies.reproduce.pressed_cubes import thesis_cubes

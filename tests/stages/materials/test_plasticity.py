@@ -8,8 +8,7 @@ import pytest
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.fit.motion import Motion
-from deformscope.stages.materials.plasticity import fit_yield
-from deformscope.stages.materials.yield_evidence import YieldOptions
+from deformscope.stages.materials.plasticity import YieldOptions, fit_yield
 from deformscope.stages.msm import clusters
 from deformscope.stages.msm.materials import Plasticity
 from deformscope.stages.msm.plastic import PlasticMsm
