@@ -16,8 +16,8 @@ from deformscope.files.sources import open_source
 from deformscope.frames import InputFile
 from deformscope.log.blueprint import blueprint
 from deformscope.log.canvas import Canvas
-from deformscope.log.estimate import summary
 from deformscope.log.layout import PAIR, PAIR_3D
+from deformscope.log.over_picture import summary
 from deformscope.pictures.evidence import evidence_png
 from deformscope.pictures.palette import colors, readable, round_up
 from deformscope.plain import plain

@@ -15,7 +15,7 @@ from deformscope.experiments.fit.whole_motion import (
     select,
     simulated,
 )
-from deformscope.log.estimate import summary
+from deformscope.log.over_picture import summary
 from deformscope.stages.fit.calibrate import FitOptions, Model
 from deformscope.stages.fit.dynamics import Pace, step_through
 from deformscope.stages.msm import clusters
