@@ -13,12 +13,11 @@ from deformscope.errors import InputError
 from deformscope.lab.scene_lab import FOLDER, described_robot
 from deformscope.rig.rig_file import Tool, load_rig
 from deformscope.rig.sections import CableSection, ShapeSection
-from deformscope.robot.description import AS_CAPSULES, DescribedCable, RobotDescription, arm_shape, describe
+from deformscope.robot.description import AS_CAPSULES, DescribedCable, RobotDescription, arm_shape, describe, read_urdf
 from deformscope.robot.placement import Placement
 from deformscope.robot.preflight import _hand
 from deformscope.robot.setup import RigParts
 from deformscope.robot.touch import TouchPlan
-from deformscope.robot.urdf_shapes import read_urdf
 from deformscope_drivers.arm.kinematics import rotation_from_rpy, transform
 from deformscope_drivers.arms import chains
 from deformscope_drivers.jaco import urdf_path
