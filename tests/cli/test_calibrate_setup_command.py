@@ -12,7 +12,7 @@ from deformscope.cli import main
 from deformscope.experiments.rig.rig_calibration import ForceReadings, PushedTip
 from deformscope.rig.rig_file import load_rig, parse_rig
 from deformscope.robot.placement import Placement
-from deformscope.runs.calibration_solvers import solve_force
+from deformscope.runs.calibration_tasks import solve_force
 from deformscope.runs.commissioning import commissioning_steps, next_step
 from deformscope.stages.setup.transform import rigid
 from tests.verified import verify_here
