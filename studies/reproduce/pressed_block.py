@@ -1,7 +1,7 @@
 """A foam block under a flat clamp by finite elements at large strain, in the plane.
 
 Nine-node quadrilaterals (quadratic: they do not lock), plane strain; the equilibrium is that of
-`deformscope.lab.finite_strain`. The block is bonded to the ground; the clamp moves straight down and the foam under it
+`deformscope.lab.plateau_world`. The block is bonded to the ground; the clamp moves straight down and the foam under it
 does not slip; the rest of the surface and both sides are free. Left and right mirror each other, so the right half is
 computed."""
 
@@ -16,7 +16,7 @@ from skfem.helpers import grad
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.lab.finite_strain import LargeStrain, OgdenFoam, stress_and_tangent
+from deformscope.lab.plateau_world import LargeStrain, OgdenFoam, stress_and_tangent
 
 
 @dataclass(frozen=True, slots=True)

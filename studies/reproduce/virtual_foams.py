@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 from scipy.optimize import brentq
 
-from deformscope.lab.finite_strain import OgdenFoam
+from deformscope.lab.plateau_world import OgdenFoam
 from deformscope.lab.scenes import PLATE_M2
 
 HARDNESS_STRAIN = 0.4

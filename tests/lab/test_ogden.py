@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.lab.finite_strain import OgdenFoam, stress_and_tangent
+from deformscope.lab.plateau_world import OgdenFoam, stress_and_tangent
 
 TWO_TERMS = OgdenFoam((3.0e3, 40.0), (12.0, -4.0), 0.2)
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from deformscope.errors import InputError
-from deformscope.lab.finite_strain import OgdenFoam
 from deformscope.lab.layer_world import LayerWorld
-from deformscope.lab.plateau_world import PlateauWorld, _Layer, force_share, press_ball
+from deformscope.lab.plateau_world import OgdenFoam, PlateauWorld, _Layer, force_share, press_ball
 from deformscope.lab.scene_lab import SceneLab
 from deformscope.lab.scenes import Piece, built_in
 from deformscope.lab.slab import RigidTip

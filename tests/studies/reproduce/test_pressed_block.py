@@ -6,7 +6,7 @@ from skfem import Basis, ElementQuad2, ElementVector, MeshQuad, asm, condense, s
 from skfem.models.elasticity import lame_parameters, linear_elasticity
 
 from deformscope.errors import InputError
-from deformscope.lab.finite_strain import OgdenFoam
+from deformscope.lab.plateau_world import OgdenFoam
 from studies.reproduce import pressed_block
 from studies.reproduce.pressed_block import Block, press
 from studies.reproduce.virtual_foams import FOAMS, Foam

@@ -3,7 +3,7 @@
 import pytest
 from scipy.stats import spearmanr
 
-from deformscope.lab.finite_strain import OgdenFoam
+from deformscope.lab.plateau_world import OgdenFoam
 from deformscope.lab.scenes import PLATE_M2
 from studies.reproduce.virtual_foams import FOAMS, Foam
 
