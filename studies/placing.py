@@ -16,8 +16,7 @@ from deformscope.experiments.squeeze.frames import ObservedRecorder
 from deformscope.experiments.squeeze.placing import CONTAINER, NO_GRASP, Placing, PlacingArm
 from deformscope.experiments.squeeze.squeeze import Squeezed, squeeze
 from deformscope.experiments.squeeze.squeezing_hand import SqueezingHand, observer_of
-from deformscope.lab.carried_hand import CarriedHandLab
-from deformscope.lab.container_setup import container_lab
+from deformscope.lab.container_setup import CarriedHandLab, container_lab
 from deformscope.pictures.report import Table
 from deformscope.recording.recorder import Recorder
 from deformscope.robot.checks import Preflight

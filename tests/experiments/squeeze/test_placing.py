@@ -9,7 +9,7 @@ import pytest
 import rerun as rr
 
 from deformscope.experiments.squeeze.placing import STUCK_S, Withdraw
-from deformscope.lab.carried_hand import T_ARM_HAND
+from deformscope.lab.container_setup import T_ARM_HAND
 from deformscope.log.squeeze.results import prepare_squeeze_results
 from deformscope.robot.advice import advice
 from deformscope.robot.placement import best_joints
