@@ -26,7 +26,7 @@ from deformscope.arrays import FloatArray
 from deformscope.config import flags
 from deformscope.errors import InputError
 from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
-from deformscope.lab.creeping_world import CreepingWorld, Relaxation
+from deformscope.lab.scene_lab import CreepingWorld, Relaxation
 from deformscope.lab.scenes import Piece, Scene, initial_modulus_pa
 from deformscope.lab.slab import RigidTip
 from deformscope.lab.slab_world import SlabWorld

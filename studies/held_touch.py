@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from deformscope.arrays import FloatArray
-from deformscope.lab.creeping_world import CreepingWorld
+from deformscope.lab.scene_lab import CreepingWorld
 from deformscope.lab.slab import RigidTip
 from deformscope.lab.slab_world import SlabWorld
 from studies.touching import Sensing

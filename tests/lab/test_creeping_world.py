@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deformscope.errors import InputError
-from deformscope.lab.creeping_world import CreepingWorld, Relaxation
+from deformscope.lab.scene_lab import CreepingWorld, Relaxation
 from deformscope.lab.scenes import built_in
 from deformscope.lab.slab import RigidTip
 from deformscope.lab.slab_world import SlabWorld
