@@ -8,7 +8,7 @@ from scipy.optimize import minimize
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.gaussian_process import Kernel
-from deformscope.stages.map import marginal_likelihood
+from deformscope.stages.map import surface
 from deformscope.stages.map.surface import HeightProcess, fit_surface
 from deformscope.stages.regions.touches import MapGrid
 from tests.cases import slow_but
@@ -172,13 +172,13 @@ def test_constant_few_and_repeated_points_still_make_a_surface() -> None:
 
 
 def test_a_length_stays_within_its_bound(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(marginal_likelihood, "MOST_SINES", 300)  # a small basis has its shortest length sooner
+    monkeypatch.setattr(surface, "MOST_SINES", 300)  # a small basis has its shortest length sooner
     places = np.random.default_rng(8).uniform(size=(1000, 2)) * SIZE
     rough = np.sin(places[:, 0] / 0.03) * np.sin(places[:, 1] / 0.03) * 0.01
     length = fit_surface(np.column_stack([places, rough])).kernel.length_m
-    shorter, longer = marginal_likelihood.RANGE
+    shorter, longer = surface.RANGE
     half = 0.5 * np.ptp(places, axis=0)
-    assert 270 < marginal_likelihood.HilbertBasis.size(half, length / shorter, length * longer) <= 300.001
+    assert 270 < surface.HilbertBasis.size(half, length / shorter, length * longer) <= 300.001
 
 
 def test_outliers_are_left_out_where_asked_and_named() -> None:
