@@ -8,6 +8,7 @@ classifier is trained on the squeezes of the first seeds, one on each third of t
 others, whose cartons and rooms were not in its training.
 """
 
+import dataclasses
 import math
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -28,9 +29,9 @@ from deformscope.results.declared import reported as stated
 from deformscope.results.render import to_json
 from deformscope.stages.squeeze.evaluation import held_values
 from deformscope.stages.squeeze.model import ContentModel, fit_model
-from deformscope.stages.squeeze.model_check import score_of, targets
-from deformscope.stages.squeeze.scores import BINS, ClassificationScore, Estimated, Interval
-from deformscope.stages.squeeze.table import LabelledTable, absent
+from deformscope.stages.squeeze.scores import BINS, ClassificationScore, Estimated, Interval, score_of
+from deformscope.stages.squeeze.table import LabelledTable, Split, absent
+from deformscope.stages.squeeze.trial_run import Key, answers_of, joined_name
 from studies.reproduce.container_trials import SqueezeJob, run_squeeze
 from studies.runner import Study, StudyOptions, StudyReport, Trials
 from studies.seeds import reported
@@ -104,12 +105,25 @@ def _during(model: ContentModel, table: LabelledTable, level: float, seed: int) 
         now = {name: values[:, min(step, values.shape[1] - 1)] for name, values in held.items()}
         rows = np.flatnonzero(~absent(now["tactile"]))
         names, posterior = model.predict_at(time_s, {name: values[rows] for name, values in now.items()})
-        score = score_of(model, table, posterior, rows, names, level)
-        yield _time_check(time_s, score, posterior, targets(model, table, rows), seed)
+        yield _time_check(time_s, _score(table, posterior, rows, names, level), posterior, table.target[rows], seed)
     posterior = model.predict_proba({name: table.modalities[name] for name in model.modalities})
-    every = np.arange(len(table))
-    score = score_of(model, table, posterior, every, tuple(model.modalities), level)
-    yield _time_check(math.nan, score, posterior, targets(model, table, every), seed)
+    score = _score(table, posterior, np.arange(len(table)), tuple(model.modalities), level)
+    yield _time_check(math.nan, score, posterior, table.target, seed)
+
+
+def _score(
+    table: LabelledTable, posterior: FloatArray, rows: IntArray, names: tuple[str, ...], level: float
+) -> ClassificationScore:
+    """Of trials at rows (n,) that one model named once each by a posterior (n, classes) of these modalities; the table
+    has the contents that the model has."""
+    target = table.target[rows]
+    answers = answers_of(rows, np.log(posterior), target, 0)
+    key: Key = joined_name(names), "late-fusion" if len(names) > 1 else "pooled"
+    score = score_of(table, key, "transfer", [Split(rows, rows)], [answers], level)
+    over = score.overconfidence.value
+    scatter = (answers.sure - (answers.answer == target)).std() / np.sqrt(len(rows))
+    half = float(scipy.stats.norm.ppf(0.5 + level / 2) * np.hypot(scatter, 1.0 / score.worth))
+    return dataclasses.replace(score, overconfidence=Estimated(over, (over - half, over + half)))
 
 
 def _time_check(

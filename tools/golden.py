@@ -106,7 +106,6 @@ CASES: Mapping[str, Case] = {
     ),
     "classify": _of(
         f"classify sample:squeezes --quick {QUIET} --json c.json --report c.html --save m.npz --record c.rrd",
-        f"classify sample:squeezes --model m.npz {QUIET} --json n.json",
         f"squeeze lab:containers --container box-03 --model m.npz --seed 6 {QUIET} --json s.json",
     ),
     "record": _of(

@@ -4,17 +4,12 @@ classifier.
 deformscope classify squeezes.npz --json -
 deformscope classify squeezes.csv --modalities tactile,vision --report report --save contents.npz
 deformscope classify squeezes.npz --merge liquid=water,yogurt --merge granular=flour,rice --quick
-deformscope classify more.npz --model contents.npz
 """
-
-from collections.abc import Mapping
-from pathlib import Path
 
 from deformscope.cli import common
 from deformscope.config import ClassifyConfig
 from deformscope.config.classify import parse_merges, parse_transfers
 from deformscope.session import Step
-from deformscope.stages.squeeze.table import LabelledTable
 
 
 def run(config: ClassifyConfig) -> None:
@@ -27,9 +22,6 @@ def run(config: ClassifyConfig) -> None:
     )
     if config.report is not None and config.report.suffix != ".html":
         common.make_folder(config.report)
-    if config.model is not None:
-        _check(config, config.model, table)
-        return
     options = options_of(config, parse_transfers(config.transfer))
     with common.recorder_of(config) as recorder:
         with common.fit_progress() as progress:
@@ -47,31 +39,9 @@ def run(config: ClassifyConfig) -> None:
         from deformscope.runs.classification_report import classification_page, classification_pictures
 
         drawn = classification_pictures(result)
-        _write_report(config, config.page, drawn, classification_page(result, model, drawn, common.settings_of(config)))
-
-
-def _check(config: ClassifyConfig, path: Path, table: LabelledTable) -> None:
-    """How a saved classifier does on trials that it has not seen."""
-    from deformscope.files.classifier_file import load_classifier
-    from deformscope.runs.classifier_check import ClassifierCheckResult, check_page
-    from deformscope.stages.squeeze.model_check import check_model
-
-    model = load_classifier(path)
-    with common.recorder_of(config) as recorder:
-        found = check_model(model, table, level=config.level, seed=config.output.seed)
-        result = ClassifierCheckResult(found, len(table), f"{config.table} by {path}")
-        common.show(result)
-        recorder.write(Step((result.findings(),), frame=0))
-    if config.page is not None:
-        _write_report(
-            config, config.page, result.pictures(), check_page(result, config.output.seed, common.settings_of(config))
-        )
-    common.write_json(result.entries(), config.output.json)
-
-
-def _write_report(config: ClassifyConfig, page: Path, drawn: Mapping[str, bytes], text: str) -> None:
-    if config.report is not None and config.report.suffix != ".html":
-        for name, png in drawn.items():
-            common.write_file(config.report / f"{name}.png", png)
-    common.write_file(page, text.encode())
-    common.wrote("report", page)
+        text = classification_page(result, model, drawn, common.settings_of(config))
+        if config.report is not None and config.report != config.page:
+            for name, png in drawn.items():
+                common.write_file(config.report / f"{name}.png", png)
+        common.write_file(config.page, text.encode())
+        common.wrote("report", config.page)

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
 from deformscope.config import flags
-from deformscope.config.options import OutputOptions, RecordedOptions, Written, either
+from deformscope.config.options import OutputOptions, RecordedOptions, Written
 from deformscope.errors import InputError
 
 NamesFlag = Annotated[
@@ -47,16 +47,10 @@ class ClassifyConfig(RecordedOptions):
     """Splits of the learning curve, and of each step of a squeeze; 0 = without them."""
     quick: bool = False
     """At most 30 splits, without learning curve."""
-    plain_qda: bool = False
-    """Try the thesis's quadratic discriminant analysis too, with one covariance per class and without shrinkage
-    (`qda-plain`). It needs more trials of each class than components."""
     duplicates: Literal["refuse", "drop"] = "refuse"
     """How to treat trials with the same features: a classifier would recognise them across a split."""
     level: flags.LevelFlag = 0.9
     """Confidence level of the intervals."""
-    model: Annotated[Path | None, flags.one_word("MODEL.npz", Path), flags.unset, flags.Reads()] = None
-    """Train nothing: classify these trials, which must be new, by a saved classifier, and compare its accuracy with its
-    promised one."""
     save: flags.ModelFlag = None
     """Write the classifier, trained on all trials (.npz, no pickle): late fusion of the modalities."""
     report: Annotated[Path | None, flags.one_word("FOLDER|FILE.html", Path), flags.unset, PLACE] = None
@@ -67,8 +61,6 @@ class ClassifyConfig(RecordedOptions):
     def check(self) -> None:
         parse_merges(self.merge)
         parse_transfers(self.transfer)
-        either("--model", "--save", self.model, self.save)
-        either("--model", "--transfer", self.model, self.transfer)
 
     @property
     def page(self) -> Path | None:

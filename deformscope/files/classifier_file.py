@@ -5,7 +5,6 @@
                 the accuracy that the evaluation found, provenance
     fusion.weight (M, C), fusion.offset (C,): how reliable each modality is for each class; step_fusion.3.weight...: the
     same for the modalities with steps at step 3, where there are several
-    seen.NAME (N,): fingerprints of the trials that it was trained on; files of before have none
     m0.used (p,), m0.mean, m0.scale, m0.centre (q,), m0.directions (q, d), m0.weight (K, C), m0.offset (C,), and of its
     classifiers m0.c0.points..., in the order of `told`; s0.3.used...: the same for step 3 of the first modality with
     steps
@@ -41,7 +40,6 @@ KINDS: dict[str, type[Classifier]] = {
 def classifier_arrays(model: ContentModel) -> dict[str, npt.NDArray[Any]]:
     """A model as the arrays of its file, by name; shapes as in `_take` and `_member`."""
     arrays: dict[str, npt.NDArray[Any]] = {"fusion.weight": model.fusion.weight, "fusion.offset": model.fusion.offset}
-    arrays |= {f"seen.{name}": prints for name, prints in model.seen.items()}
     described: dict[str, Any] = {
         "labels": model.labels,
         "modalities": [
@@ -118,7 +116,6 @@ def _model(described: Mapping[str, Any], found: Arrays) -> ContentModel:
     about: list[Mapping[str, object]] = [described["settings"], described["promised"], described["provenance"]]
     if not all(isinstance(one, dict) for one in about):
         raise ValueError("settings, promised or provenance")
-    seen = {name: _array(found, f"seen.{name}", "i", (None,)) for name in modalities if f"seen.{name}" in found}
     settings, promised, provenance = about
     return ContentModel(
         labels,
@@ -130,7 +127,6 @@ def _model(described: Mapping[str, Any], found: Arrays) -> ContentModel:
         settings=settings,
         promised=promised,
         provenance=provenance,
-        seen=seen,
     )
 
 

@@ -277,5 +277,4 @@ def table_from(
 def options_of(config: ClassifyConfig, transfer: tuple[tuple[str, str], ...]) -> EvaluationOptions:
     """The flags as options of an evaluation."""
     splits = (min(config.splits, QUICK_SPLITS), 0) if config.quick else (config.splits, config.curve_splits)
-    seed, plain = config.output.seed, config.plain_qda
-    return EvaluationOptions(*splits, level=config.level, seed=seed, transfer=transfer, plain_qda=plain)
+    return EvaluationOptions(*splits, level=config.level, seed=config.output.seed, transfer=transfer)

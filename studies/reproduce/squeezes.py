@@ -1,7 +1,6 @@
 """`python -m studies reproduce squeezes`: new squeezes compared with the simulated truth: events, poses, depth.
 
 python -m studies reproduce squeezes --out runs/squeezes
-deformscope classify runs/squeezes/squeezes --model runs/containers/five/contents.npz
 """
 
 from collections.abc import Sequence

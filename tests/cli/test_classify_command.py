@@ -110,25 +110,6 @@ def test_the_saved_classifier_answers_as_the_library_s(folder: Path) -> None:
     assert result._repr_html_().count("<img") == 3
 
 
-def test_a_saved_classifier_is_checked_on_new_trials(folder: Path, tmp_path: Path, capsys: Capture) -> None:
-    new = write(tmp_path / "new.npz", seed=5)
-    arguments = ["--model", str(folder / "m.npz"), "--report", str(tmp_path / "r"), "--json", str(tmp_path / "c.json")]
-    assert main(["classify", str(new), *arguments]) == 0
-    told = capsys.readouterr().out
-    assert "promised" in told
-    assert "touch alone" in told
-    found = json.loads((tmp_path / "c.json").read_text())
-    assert [one["modality"] for one in found] == ["touch+vision", "touch", "vision"]
-    assert found[0]["promised"] == pytest.approx(ds.load_classifier(folder / "m.npz").promised["accuracy"])
-    assert found[0]["protocol"] == "new"
-    assert {path.name for path in (tmp_path / "r").iterdir()} == {
-        "classification.html",
-        "confusion.png",
-        "reliability.png",
-    }
-    assert main(["classify", str(new), "--model", str(folder / "m.npz"), "--save", str(tmp_path / "n.npz")]) == 2
-
-
 def test_arrays_of_a_script_with_one_modality_and_merged_classes() -> None:
     table = two_modalities()
     arrays = {"label": table.label, "touch": table.modalities["touch"]}

@@ -31,10 +31,9 @@ LINEAR_COMPONENTS = 200
 SHARES = (0.001, 0.01, 0.03, 0.1, 0.2, 0.4, 0.7, 1.0)
 """Tried shares of the unit matrix in the linear classifier's covariance."""
 
-Name = Literal["knn", "qda", "qda-raw", "linear", "qda-plain"]
+Name = Literal["knn", "qda", "qda-raw", "linear"]
 NAMES: tuple[Name, ...] = ("knn", "qda", "qda-raw", "linear")
-"""knn and qda use the components that hold 80 % of the variance; the others use all components. In addition qda-plain
-is the thesis's qda without shrinkage (`plain_quadratic`): it is tried on request, and never pooled with others."""
+"""knn and qda use the components that hold 80 % of the variance; the others use all components."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,20 +164,6 @@ def fit_quadratic(points: FloatArray, target: IntArray, classes: int) -> Quadrat
         mine = about[target == one]
         factor[one] = np.linalg.cholesky((mine.T @ mine + prior * pooled) / (count[one] - 1 + prior))
     return Quadratic(mean, factor, count > 0)
-
-
-def plain_quadratic(points: FloatArray, target: IntArray, test: FloatArray, classes: int) -> FloatArray | None:
-    """(m, C) log posteriors of (m, d) points by a covariance of each class alone, from (n, d) points of classes (n,):
-    scikit-learn's without regularisation. None where a class has too few points for one."""
-    from sklearn.discriminant_analysis import QuadraticDiscriminantAnalysis
-
-    seen, count = np.unique(target, return_counts=True)
-    if len(seen) < 2 or count.min() <= points.shape[1]:
-        return None
-    model = QuadraticDiscriminantAnalysis(priors=np.full(len(seen), 1.0 / len(seen)), tol=0.0)
-    logs = np.full((len(test), classes), -np.inf)
-    logs[:, seen] = model.fit(points, target).predict_log_proba(test)
-    return floored(logs)
 
 
 def fit_linear(points: FloatArray, target: IntArray, classes: int, share: float | None = None) -> Linear:

@@ -54,11 +54,6 @@ class Space:
     kept: int
     raw: int
 
-    @property
-    def few(self) -> tuple[FloatArray, FloatArray]:
-        """(n, kept) and (m, kept): training and test points on the components that hold `EXPLAINED` of the variance."""
-        return self.train[:, : self.kept], self.test[:, : self.kept]
-
 
 def kept_of(variance: FloatArray, share: float = EXPLAINED) -> int:
     """Number of components that hold that share of the variance; falling (d,) variances."""

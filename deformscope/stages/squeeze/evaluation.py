@@ -63,7 +63,7 @@ class EvaluationOptions:
     """splits: their number;
     curve_splits: splits of the learning curve and the time steps, 0 = none; protocols: kinds of splits, None = those
     that the table allows; level: level of intervals;
-    transfer: (training, tested) patterns of kinds or groups; workers: threads; plain_qda: the thesis's too"""
+    transfer: (training, tested) patterns of kinds or groups; workers: threads"""
 
     splits: int = 200
     curve_splits: int = 40
@@ -72,7 +72,6 @@ class EvaluationOptions:
     seed: int = 0
     transfer: tuple[tuple[str, str], ...] = ()
     workers: int = 1
-    plain_qda: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,7 +202,7 @@ def evaluate(
     transfers = _transfers(beyond, options.transfer, notes)
     runner = _Runner(table, options, progress)
     others = _Runner(beyond, options, progress)
-    methods: tuple[Method, ...] = (*NAMES, *(("qda-plain",) if options.plain_qda else ()), "pooled", "late-fusion")
+    methods: tuple[Method, ...] = (*NAMES, "pooled", "late-fusion")
     scores: list[ClassificationScore] = []
     outcomes: dict[Key, list[Answers]] = {}
     drawn: list[Split] = []
@@ -222,8 +221,6 @@ def evaluate(
         what = f"transfer {pair[0]} to {pair[1]}"
         found = others.run(what, [split], methods, by_group=beyond.group is not None)
         scores += [score_of(beyond, key, "transfer", [split], one, options.level, pair) for key, one in found.items()]
-    if options.plain_qda and all(one.method != "qda-plain" for one in scores):
-        notes.append("qda-plain left out: a content has no more training trials than components")
     steps = {} if not options.curve_splits else _time_steps(table, options, runner, strictest, drawn)
     curve = () if not options.curve_splits else _curve(table, options, runner, strictest, drawn)
     copies = near_copies(table)

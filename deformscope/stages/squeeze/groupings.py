@@ -2,17 +2,16 @@
 
 They describe the table as a whole; no result of a classifier depends on them."""
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import scipy
 
-from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.arrays import FloatArray, IntArray
 from deformscope.stages.squeeze.components import fit_scaling, kept_of, loadings
 from deformscope.stages.squeeze.scores import lilliefors
-from deformscope.stages.squeeze.table import LabelledTable, absent
+from deformscope.stages.squeeze.table import LabelledTable
 from deformscope.stages.squeeze.trial_run import joined_name
 
 RUNS = 10
@@ -110,7 +109,7 @@ def normality(table: LabelledTable) -> Mapping[str, Normality]:
     return found
 
 
-# Trials that are nearly the same, and trials that a classifier was trained on: neither says how new ones are named
+# Trials that are nearly the same: they do not say how new ones are named
 
 NEIGHBOUR = 10
 """Its distance is the scale of a trial's surroundings: up to nine copies of a trial do not change it."""
@@ -158,22 +157,3 @@ def without_near_copies(table: LabelledTable, sets: list[tuple[int, ...]]) -> La
     kept = np.ones(len(table), dtype=bool)
     kept[[row for rows in sets for row in rows[1:]]] = False
     return table.rows(kept)
-
-
-def fingerprints(features: FloatArray) -> IntArray:
-    """(n,) int64 hashes of the rows of features (n, p) in single precision; 0 where nothing was measured."""
-    rows = np.ascontiguousarray(features, dtype=np.float32) + np.float32(0.0)
-    digests = (hashlib.blake2b(one.tobytes(), digest_size=8).digest() for one in rows)
-    found = [int.from_bytes(digest, "little", signed=True) for digest in digests]
-    return np.where(absent(features), 0, np.array(found, dtype=np.int64))
-
-
-def trained_on(table: LabelledTable, seen: Mapping[str, IntArray]) -> BoolArray:
-    """(n,) trials in which a modality has the fingerprint of a trial that trained the model. seen: (N,) fingerprints of
-    the trials that trained, by modality"""
-    again = np.zeros(len(table), dtype=bool)
-    for name, prints in seen.items():
-        if name in table.modalities:
-            own = fingerprints(table.modalities[name])
-            again |= (own != 0) & np.isin(own, prints)
-    return again

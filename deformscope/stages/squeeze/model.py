@@ -10,7 +10,6 @@ from deformscope.errors import InputError
 from deformscope.stages.squeeze.components import Scaling, fit_scaling, kept_of, loadings
 from deformscope.stages.squeeze.evaluation import Progress, held_values
 from deformscope.stages.squeeze.fusion import Expert, Pool, fit_expert, fit_pool, fuse
-from deformscope.stages.squeeze.groupings import fingerprints
 from deformscope.stages.squeeze.table import LabelledTable, absent
 
 
@@ -44,8 +43,7 @@ class ContentModel:
     one model for each step of the squeeze, `step_s` apart; step_fusion: model that fuses these, in their order, for
     each step, () = they are not fused
     settings: settings of the features, as stored with them: a squeeze must have the same
-    promised: accuracy with its interval, as evaluated; provenance: versions and source
-    seen: (N,) fingerprints of the trials that it was trained on, by modality, {} = not known"""
+    promised: accuracy with its interval, as evaluated; provenance: versions and source"""
 
     labels: tuple[str, ...]
     modalities: Mapping[str, ModalityModel]
@@ -56,7 +54,6 @@ class ContentModel:
     settings: Mapping[str, object] = field(default_factory=dict)
     promised: Mapping[str, object] = field(default_factory=dict)
     provenance: Mapping[str, object] = field(default_factory=dict)
-    seen: Mapping[str, IntArray] = field(default_factory=dict)
 
     def predict_proba(self, features: Mapping[str, FloatArray]) -> FloatArray:
         """(n, C) posterior of (n, p) features by modality, C as in `labels`.
@@ -159,7 +156,6 @@ def fit_model(
         settings=table.settings,
         promised=promised or {},
         provenance=provenance or {},
-        seen={name: fingerprints(values) for name, values in table.modalities.items()},
     )
 
 

@@ -35,20 +35,6 @@ def wilson(share: float, count: float, level: float) -> Interval:
     return max(0.0, float(middle - half)), min(1.0, float(middle + half))
 
 
-def share_among_new(expected: Estimated, count: float, level: float, expected_level: float) -> Interval:
-    """Interval of a share among a number of new independent trials, with probability `level`. The long-run share has a
-    beta distribution with the expected mean, whose deviation is that of its interval of `expected_level`; the observed
-    share is beta-binomial."""
-    mean = min(max(expected.value, 1e-6), 1.0 - 1e-6)
-    half = 0.5 * (expected.interval[1] - expected.interval[0])
-    deviation = max(half / float(scipy.stats.norm.ppf(0.5 + expected_level / 2)), 1e-6)
-    worth = max(mean * (1.0 - mean) / deviation**2 - 1.0, 1e-3)  # trials that the expectation itself is worth
-    whole = max(round(count), 1)
-    seen = scipy.stats.betabinom(whole, worth * mean, worth * (1.0 - mean))
-    low, high = (float(seen.ppf(share)) / whole for share in (0.5 - level / 2, 0.5 + level / 2))
-    return min(low, expected.interval[0]), max(high, expected.interval[1])
-
-
 def corrected_deviation(values: FloatArray, ratio: float) -> float:
     """Standard deviation of the mean of (J,) values over splits. Splits share trials, so that the variance is that of
     one split times 1 / J + test / train (Nadeau and Bengio 2003, 4). ratio: tested trials over training ones"""
@@ -208,7 +194,7 @@ class ClassificationScore:
 
     modality: str = field(metadata=reported("modality"))
     method: Method = field(metadata=reported("method"))
-    protocol: Protocol | Literal["transfer", "new"] = field(metadata=reported())
+    protocol: Protocol | Literal["transfer"] = field(metadata=reported())
     fusion: Literal["none", "early", "late"] = field(metadata=reported())
     accuracy: Estimated = field(metadata=reported("accuracy", interval_key="interval", digits=".1%"))
     balanced: Estimated = field(

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
-from deformscope.stages.squeeze.classifiers import NAMES, Name, columns_of, fit, plain_quadratic, usable
+from deformscope.stages.squeeze.classifiers import NAMES, Name, columns_of, fit, usable
 from deformscope.stages.squeeze.components import Space, fit_scaling, project
 from deformscope.stages.squeeze.fusion import Fitted, everywhere, fit_expert, fit_pool, fuse
 from deformscope.stages.squeeze.table import Split
@@ -136,9 +136,6 @@ def run_split(
                 columns = columns_of(name, space.kept)
                 classifier = fit(name, space.train[:, :columns], truth, classes, groups)
                 said[name] = classifier.log_posterior(space.test[:, :columns])
-        one, other = space.few
-        if "qda-plain" in methods and (plain := plain_quadratic(one, truth, other, classes)) is not None:
-            said["qda-plain"] = plain
         for name in (one for one in said if one in methods):
             count = min(columns_of(name, space.kept) or space.train.shape[1], space.train.shape[1])
             found[modality, name] = answers_of(sides.test, said[name], target[sides.test], count)

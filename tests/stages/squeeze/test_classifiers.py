@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy.stats import multivariate_normal
 from sklearn.base import BaseEstimator
 from sklearn.covariance import empirical_covariance, ledoit_wolf, shrunk_covariance
 from sklearn.datasets import load_digits
@@ -23,7 +22,6 @@ from deformscope.stages.squeeze.classifiers import (
     folds_of,
     linear_share,
     neighbour_count,
-    plain_quadratic,
 )
 from deformscope.stages.squeeze.components import fit_scaling, loadings, project
 from tests.stages.squeeze.trials import blobs
@@ -44,7 +42,7 @@ def test_scaling_and_components_are_scikit_learns_of_the_training_side() -> None
     theirs = pca.transform(scaler.transform(test[:, scaling.used]))
     assert not scaling.used.all()  # the corners of digits are blank
     assert space.kept == pca.n_components_
-    np.testing.assert_allclose(np.abs(space.few[1]), np.abs(theirs), atol=1e-8)
+    np.testing.assert_allclose(np.abs(space.test[:, : space.kept]), np.abs(theirs), atol=1e-8)
 
 
 def test_components_from_inner_products_are_those_from_columns() -> None:
@@ -97,7 +95,8 @@ def test_the_pipelines_are_scikit_learns_with_the_same_shrinkage(name: str, colu
     inside = np.tile(np.arange(25) < 15, 3)
     train, truth, test = x[inside], y[inside], x[~inside]
     scaling = fit_scaling(train)
-    one, other = project(scaling.apply(train), scaling.apply(test)).few
+    space = project(scaling.apply(train), scaling.apply(test))
+    one, other = space.train[:, : space.kept], space.test[:, : space.kept]
 
     reduction = make_pipeline(StandardScaler(), PCA(0.8, svd_solver="full")).fit(train)
     theirs_one, theirs_other = reduction.transform(train), reduction.transform(test)
@@ -150,18 +149,6 @@ def test_of_many_points_the_gaussians_are_scikit_learns() -> None:
     # The clouds' covariance is the unit matrix, to which ours is shrunk; theirs has the errors of the sample.
     ours = np.exp(fit_linear(points, target, 3).log_posterior(points))
     np.testing.assert_allclose(ours, linear.predict_proba(points), atol=0.04)
-
-
-def test_without_shrinkage_a_covariance_is_its_classs_own() -> None:
-    """Few points of unequal spread, where shrinkage would change the posterior; too few give none."""
-    table = blobs(classes=3, each=12, columns=4, apart=1.5, seed=3)
-    points, target = table.modalities["touch"] * [1.0, 3.0, 0.5, 1.0], table.target
-    own = [points[target == one] for one in range(3)]
-    density = np.stack([multivariate_normal(x.mean(axis=0), np.cov(x.T, ddof=0)).pdf(points) for x in own], axis=1)
-    plain = plain_quadratic(points, 2 * target, points, 5)
-    np.testing.assert_allclose(np.exp(plain[:, ::2]), density / density.sum(axis=1, keepdims=True), atol=1e-6)
-    assert np.exp(plain[:, 1::2]).max() < 1e-8  # classes without a point
-    assert plain_quadratic(points[::4], target[::4], points, 3) is None
 
 
 def test_the_share_of_the_unit_matrix_is_that_of_the_least_loss_when_points_are_left_out_one_by_one() -> None:

@@ -158,15 +158,3 @@ def test_what_is_not_normal_is_recognised() -> None:
     assert intervals.lilliefors(np.random.default_rng(0).exponential(size=100))[1] < 0.001
     assert np.isnan(intervals.lilliefors(np.array([1.0, 2.0, 3.0]))[1])
     assert np.isnan(intervals.lilliefors(np.ones(10))[1])
-
-
-def test_a_share_seen_among_new_trials_scatters_by_the_expectation_and_by_their_number() -> None:
-    rng = np.random.default_rng(3)
-    expected = intervals.Estimated(0.86, (0.83, 0.89))  # a deviation of 0.03 / 1.645
-    truth = rng.normal(0.86, 0.03 / 1.645, 20_000)
-    for count in (60, 300):
-        low, high = intervals.share_among_new(expected, count, 0.9, 0.9)
-        seen = rng.binomial(count, truth) / count
-        assert np.mean((seen >= low) & (seen <= high)) == pytest.approx(0.91, abs=0.025)
-        assert high - low > 0.06
-    assert intervals.share_among_new(expected, 1e6, 0.9, 0.9) == pytest.approx((0.83, 0.89), abs=2e-3)

@@ -1,19 +1,13 @@
 """Copies that are told from trials that are alike, and intervals that do not rest on what copies or containers say."""
 
-import dataclasses
 import itertools
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from deformscope.files.classifier_file import classifier_arrays, load_classifier, save_classifier
 from deformscope.runs.classification import ClassificationResult, format_told
-from deformscope.runs.classifier_check import format_promise
 from deformscope.stages.squeeze.evaluation import Evaluation, EvaluationOptions, evaluate
 from deformscope.stages.squeeze.groupings import near_copies
-from deformscope.stages.squeeze.model import ContentModel, fit_model
-from deformscope.stages.squeeze.model_check import check_model
 from deformscope.stages.squeeze.scores import difference, over_splits
 from deformscope.stages.squeeze.table import LabelledTable
 from studies.independent.labelled_rows import rows_of
@@ -106,27 +100,3 @@ def test_no_error_is_not_surer_by_a_jump_than_hardly_any() -> None:
         assert 0.9 < width[1] / width[0] < 1.1
     p_values = [difference(one, np.full(50, 0.001), 0.4, 0.9, 40.0)[1] for one in (same, nearly)]
     assert p_values[0] == pytest.approx(p_values[1], abs=0.05)
-
-
-@pytest.fixture(scope="module")
-def trained() -> ContentModel:
-    return fit_model(two_modalities(), by_group=True, promised={"accuracy": 0.8, "interval": (0.7, 0.9)})
-
-
-def test_trials_that_trained_a_model_do_not_judge_it(trained: ContentModel, tmp_path: Path) -> None:
-    save_classifier(trained, tmp_path / "m.npz")
-    loaded = load_classifier(tmp_path / "m.npz")
-    table = two_modalities()
-    single = {name: values.astype(np.float32).astype(float) for name, values in table.modalities.items()}
-    for shown in (table, dataclasses.replace(table, modalities=single), table.of(["vision"])):
-        found = check_model(loaded, shown)
-        assert (found.trained, found.kept) == (len(table), None)
-        assert f"{len(table)} of {len(table)} trials trained this model" in format_promise(found)
-    new = check_model(loaded, two_modalities(seed=9))
-    assert (new.trained, new.kept) == (0, new.kept is True)
-
-
-def test_a_file_of_before_opens_and_knows_no_trials(trained: ContentModel, tmp_path: Path) -> None:
-    arrays = {name: one for name, one in classifier_arrays(trained).items() if not name.startswith("seen.")}
-    np.savez(tmp_path / "old.npz", allow_pickle=False, **arrays)
-    assert check_model(load_classifier(tmp_path / "old.npz"), two_modalities()).trained == 0
