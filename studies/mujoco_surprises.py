@@ -32,7 +32,7 @@ def flex(dof: str = "trilinear", cells: int = 3, integrator: str = "discrete", c
       <flexcomp name="cube" type="direct" dim="3" dof="{dof}" cellcount="{count}" mass="0.1" radius="1e-4"
         point="{text}" element="{" ".join(str(one) for one in np.ravel(elements))}">
         <elasticity young="{YOUNG}" poisson="0" damping=".01"/>{pinned}
-        <contact selfcollide="none" condim="1" priority="1" {contact}/></flexcomp></worldbody></mujoco>"""
+        <contact selfcollide="none" priority="1" {contact or 'condim="1"'}/></flexcomp></worldbody></mujoco>"""
 
 
 def stretched(model: Any, strain: float, heights: np.ndarray, top: float) -> float:
@@ -67,9 +67,10 @@ def unequal_cells() -> Row:
     return ("a cube with cells of unequal widths", "its modulus is the same", f"{share:.2f} of the force, no message")
 
 
-def press(boxes: int, contact: str) -> tuple[float, int]:
+def press(boxes: int, contact: str, cone: Any = mujoco.mjtCone.mjCONE_PYRAMIDAL) -> tuple[float, int]:
     """Force along z [N] and number of contacts of a flat tip of boxes x boxes geoms, when it is at rest."""
     spec = mujoco.MjSpec.from_string(flex(cells=11, contact=contact))
+    spec.option.cone = cone
     half, middle = 0.04, 0.5 * SIDE
     tip = spec.worldbody.add_body(name="tip", mocap=True, pos=[middle, middle, 1.0])
     for x, y in itertools.product(range(boxes), repeat=2):
@@ -84,12 +85,12 @@ def press(boxes: int, contact: str) -> tuple[float, int]:
     force = 0.0
     for number, contact_ in enumerate(data.contact):
         mujoco.mj_contactForce(model, data, number, wrench)
-        force += abs(wrench[0] * contact_.frame[2])
+        force += abs(wrench[:3] @ contact_.frame.reshape(3, 3)[:, 2])
     return force, data.ncon
 
 
 def contacts() -> Iterator[Row]:
-    stiff = 'solimp=".9999 .9999 .001" solref="-1e5 -632"'
+    stiff = 'condim="1" solimp=".9999 .9999 .001" solref="-1e5 -632"'
     (many, number), (one, most), (soft, _) = press(6, stiff), press(1, stiff), press(6, "")
     yield (
         "contacts of one box as a flat tip",
@@ -103,6 +104,16 @@ def contacts() -> Iterator[Row]:
     )
 
 
+def friction() -> Row:
+    shares = []
+    for ratio in (0.5, 1.0, 3.0, 10.0):
+        contact = f'condim="3" friction="{ratio} .005 .0001" solimp=".95 .95 .001" solref="-1e5 -632"'
+        pyramid, ellipse = press(6, contact)[0], press(6, contact, mujoco.mjtCone.mjCONE_ELLIPTIC)[0]
+        shares.append(f"{pyramid / ellipse:.2f}")
+    said = f'{", ".join(shares)} of that with `cone="elliptic"`'
+    return ("force with a friction of 0.5, 1, 3 and 10, with the default cone", "the same where nothing slides", said)
+
+
 def integrators() -> Row:
     try:
         mujoco.MjModel.from_xml_string(flex(integrator="implicitfast"))
@@ -113,7 +124,7 @@ def integrators() -> Row:
 
 
 def main() -> None:
-    print(json.dumps([law(), unequal_cells(), *contacts(), integrators()]))
+    print(json.dumps([law(), unequal_cells(), *contacts(), friction(), integrators()]))
 
 
 if __name__ == "__main__":
