@@ -23,8 +23,8 @@ from deformscope.lab.container_constants import CONTENTS, TABLE_FRICTION
 from deformscope.lab.container_shell import SHAPES, ContainerShape
 from deformscope.lab.container_view import PALM, ContainerView, finger_capsules
 from deformscope.lab.container_world import TEXEL_M2, ContainerWorld
+from deformscope.lab.live_squeeze_lab import NAMES, ContainerCase, SqueezedContainer, SqueezeLab, container_of, members
 from deformscope.lab.ray_camera import DepthViewConfig, looking_at
-from deformscope.lab.squeeze_lab import NAMES, ContainerCase, SqueezedContainer, SqueezeLab, container_of, members
 from deformscope.lab.touch_lab import Spoiled
 from deformscope.rig.rig_file import Workspace
 from deformscope.rig.sections import ContainerSection, HandSection, SqueezeSection

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from deformscope.lab.container_view import camera_pose
-from deformscope.lab.squeeze_lab import ContainerCase, ContainerTruth, SqueezeLab
+from deformscope.lab.live_squeeze_lab import ContainerCase, ContainerTruth, SqueezeLab
 from deformscope.rig.rig_file import RigDevice
 from deformscope_drivers.device import Device
 

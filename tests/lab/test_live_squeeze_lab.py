@@ -4,8 +4,7 @@ import pytest
 
 from deformscope.errors import InputError
 from deformscope.frames import DepthFrame, HandFrame, TactileFrame
-from deformscope.lab.live_squeeze_lab import LiveSqueezeLab
-from deformscope.lab.squeeze_lab import CLOSED_DEG, CLOSING_AXES, ContainerCase
+from deformscope.lab.live_squeeze_lab import CLOSED_DEG, CLOSING_AXES, ContainerCase, LiveSqueezeLab
 from deformscope_drivers.sdh.results import Outcome
 
 

@@ -8,7 +8,14 @@ import pytest
 from deformscope.errors import InputError
 from deformscope.frames import DepthFrame, HandFrame, TactileFrame
 from deformscope.lab.container_constants import PA_PER_COUNT
-from deformscope.lab.squeeze_lab import CLOSED_DEG, CLOSING_AXES, OPEN_DEG, ContainerCase, ContainerTruth, SqueezeLab
+from deformscope.lab.live_squeeze_lab import (
+    CLOSED_DEG,
+    CLOSING_AXES,
+    OPEN_DEG,
+    ContainerCase,
+    ContainerTruth,
+    SqueezeLab,
+)
 
 PERIOD_NS = 100_000_000
 MOVING, BLOCKED = "positioning", "cw_blocked"
