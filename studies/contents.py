@@ -25,7 +25,7 @@ from deformscope.experiments.squeeze.squeeze import feature_settings
 from deformscope.files.squeeze_dataset import SqueezeDataset, TrialRow
 from deformscope.lab.container_setup import container_lab
 from deformscope.pictures.report import Table
-from deformscope.results.declared import reported as stated
+from deformscope.results.render import reported as stated
 from deformscope.results.render import to_json
 from deformscope.stages.squeeze.evaluation import held_values
 from deformscope.stages.squeeze.model import ContentModel, fit_model

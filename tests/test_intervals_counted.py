@@ -14,8 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from deformscope import runs, stages
-from deformscope.results.declared import quantities
-from deformscope.results.render import format_value
+from deformscope.results.render import format_value, quantities
 from deformscope.stages.map.exploration import InclusionsResult, MapRegion
 from studies.__main__ import summaries
 

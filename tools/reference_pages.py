@@ -166,7 +166,7 @@ def recordings() -> str:
 
 def quantities_page() -> str:
     """What results report: key in the JSON, meaning, unit."""
-    from deformscope.results.declared import quantities
+    from deformscope.results.render import quantities
 
     parts = [
         "# Quantities of results",
@@ -210,7 +210,7 @@ def quantities_page() -> str:
 def _reporting_classes() -> set[type]:
     """Every dataclass of the package that declares a quantity."""
     import deformscope
-    from deformscope.results.declared import quantities
+    from deformscope.results.render import quantities
 
     found = set()
     for module in pkgutil.walk_packages(deformscope.__path__, "deformscope."):

@@ -25,8 +25,7 @@ from deformscope.recording.item_rows import Starts, entity_parts, objects_of
 from deformscope.recording.items import KINDS as STAGE_KINDS
 from deformscope.recording.items import VALUES
 from deformscope.recording.reader import Replay
-from deformscope.results.declared import quantities
-from deformscope.results.render import to_json
+from deformscope.results.render import quantities, to_json
 from deformscope.rows import ENTITIES, FRAMES, IMAGES, OF_DEVICES, SERIES, SHAPE, field_of, from_components, from_json
 from deformscope.stages.fit.estimate import Estimate
 from deformscope.stages.fit.particle_frame import ParticleFrame

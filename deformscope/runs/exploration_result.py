@@ -12,8 +12,7 @@ from deformscope.pictures import messages
 from deformscope.pictures.report import Figure, Table
 from deformscope.plain import Json
 from deformscope.recording.losses import named
-from deformscope.results.declared import derived, quantities, reported
-from deformscope.results.render import Rows, format_value, to_columns, to_json, units_of
+from deformscope.results.render import Rows, derived, format_value, quantities, reported, to_columns, to_json, units_of
 from deformscope.runs.result import LibraryResult
 from deformscope.stages.map.exploration import (
     PLATEAU_FACTOR,

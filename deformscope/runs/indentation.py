@@ -28,8 +28,7 @@ from deformscope.pictures.report import Figure, Section, Table, html_report
 from deformscope.plain import Json
 from deformscope.recording.items import read_found, read_items, read_results
 from deformscope.recording.reader import Replay
-from deformscope.results.declared import quantities
-from deformscope.results.render import ReportedResult, Rows, to_rows
+from deformscope.results.render import ReportedResult, Rows, quantities, to_rows
 from deformscope.runs.calibration_report import provenance_sections, settings_section
 from deformscope.runs.force_log import UNITS, unit_of
 from deformscope.runs.pair_calibration import arrays_bytes

@@ -8,7 +8,7 @@ from typing import Any
 from deformscope.errors import InputError
 from deformscope.pictures.report import Figure, Table
 from deformscope.plain import Json
-from deformscope.results.declared import WORDING, is_declared
+from deformscope.results.render import WORDING, is_declared
 from deformscope.rows import differing
 from deformscope.runs.result import LibraryResult
 

@@ -11,8 +11,7 @@ import numpy as np
 from deformscope.arrays import FloatArray
 from deformscope.pictures.report import Figure, Table
 from deformscope.plain import Json
-from deformscope.results.declared import derived, reported
-from deformscope.results.render import Rows, to_json
+from deformscope.results.render import Rows, derived, reported, to_json
 from deformscope.runs.result import LibraryResult
 
 if TYPE_CHECKING:

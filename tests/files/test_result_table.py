@@ -10,8 +10,7 @@ import pytest
 
 from deformscope.errors import InputError
 from deformscope.files.result_table import BATCH, make_table, read_table, select_rows, write_table
-from deformscope.results.declared import reported
-from deformscope.results.render import cells_of, to_cells
+from deformscope.results.render import cells_of, reported, to_cells
 
 
 @dataclass(frozen=True)

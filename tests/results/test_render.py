@@ -7,8 +7,18 @@ from typing import ClassVar
 import numpy as np
 
 from deformscope.arrays import FloatArray
-from deformscope.results.declared import derived, quantities, reported
-from deformscope.results.render import ReportedResult, format_value, to_columns, to_json, to_line, to_rows, units_of
+from deformscope.results.render import (
+    ReportedResult,
+    derived,
+    format_value,
+    quantities,
+    reported,
+    to_columns,
+    to_json,
+    to_line,
+    to_rows,
+    units_of,
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from deformscope.errors import InputError
 from deformscope.experiments.squeeze.frames import SqueezeFrames, frame_ns
 from deformscope.experiments.squeeze.tracking import REST_IMAGES, ContainerImage, ContainerTracker, TrackedImage
 from deformscope.frames import HandFrame
-from deformscope.results.declared import reported
+from deformscope.results.render import reported
 from deformscope.rig.sections import ContainerSection, HandSection
 from deformscope.robot.setup import CameraView
 from deformscope.robot.squeeze_setup import SqueezeSetup

@@ -7,8 +7,7 @@ from typing import Any, Literal
 import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
-from deformscope.results.declared import WORDING, derived, reported
-from deformscope.results.render import ReportedResult, lengths, to_json
+from deformscope.results.render import WORDING, ReportedResult, derived, lengths, reported, to_json
 
 Parameter = Literal["beta", "theta"]
 Verdict = Literal["identified", "weak", "at-bound", "unidentified"]

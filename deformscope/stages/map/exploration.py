@@ -11,7 +11,7 @@ import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.results.declared import derived, reported
+from deformscope.results.render import derived, reported
 from deformscope.stages.poke.creep import CreepFit
 from deformscope.stages.regions.touches import FIRST_REGIONS
 

@@ -4,8 +4,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 from deformscope.arrays import FloatArray
-from deformscope.results.declared import derived, reported
-from deformscope.results.render import ReportedResult
+from deformscope.results.render import ReportedResult, derived, reported
 from deformscope.stages.fit.estimate import Doubt, Identifiability, LengthUnit, Verdict, converged_text, explained_text
 
 SEEN_SDS = 3.0

@@ -6,8 +6,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from deformscope.arrays import FloatArray, IntArray
-from deformscope.results.declared import derived, reported
-from deformscope.results.render import ReportedResult
+from deformscope.results.render import ReportedResult, derived, reported
 from deformscope.stages.fit.estimate import Doubt, LengthUnit, Verdict, converged_text, explained_text
 
 FieldKind = Literal["uniform", "anisotropic", "materials", "gradual", "unidentified"]

@@ -10,8 +10,7 @@ import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.results.declared import reported
-from deformscope.results.render import ReportedResult
+from deformscope.results.render import ReportedResult, reported
 
 RESTS = 0.03
 """Share of the push within which the pressed particles count as at rest, or as at the greatest depth."""

@@ -24,8 +24,7 @@ import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.results.declared import derived, reported
-from deformscope.results.render import ReportedResult
+from deformscope.results.render import ReportedResult, derived, reported
 from deformscope.stages.fit import relaxation
 from deformscope.stages.fit.creep_spectra import FASTEST, Spectrum, spectra
 from deformscope.stages.fit.estimate import Doubt, LengthUnit

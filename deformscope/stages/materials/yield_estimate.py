@@ -4,8 +4,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 from deformscope.arrays import FloatArray
-from deformscope.results.declared import derived, reported
-from deformscope.results.render import ReportedResult, lengths
+from deformscope.results.render import ReportedResult, derived, lengths, reported
 from deformscope.stages.fit.estimate import Doubt, LengthUnit, Verdict, converged_text, explained_text
 
 

@@ -13,8 +13,7 @@ import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.results.declared import reported
-from deformscope.results.render import ReportedResult
+from deformscope.results.render import ReportedResult, reported
 from deformscope.stages.poke import indentation
 from deformscope.stages.poke.contact import Z_90
 from deformscope.stages.regions.touches import LAW_SD

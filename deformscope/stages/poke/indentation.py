@@ -11,8 +11,7 @@ import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.errors import InputError
-from deformscope.results.declared import derived, reported
-from deformscope.results.render import ReportedResult
+from deformscope.results.render import ReportedResult, derived, reported
 from deformscope.stages.fit.estimate import Doubt, Verdict, relative_verdict
 from deformscope.stages.poke import contact
 from deformscope.stages.poke.creep import CreepFit, cycle_loss, drift_rate, fit_creep

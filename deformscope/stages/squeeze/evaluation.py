@@ -15,7 +15,7 @@ from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.executor.local import ThreadWorkers
 from deformscope.executor.tasks import compute_all
-from deformscope.results.declared import reported
+from deformscope.results.render import reported
 from deformscope.stages.squeeze import groupings
 from deformscope.stages.squeeze.classifiers import NAMES
 from deformscope.stages.squeeze.groupings import Grouping, Normality, near_copies, without_near_copies

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from deformscope.arrays import FloatArray, IntArray
-from deformscope.results.declared import derived, reported
+from deformscope.results.render import derived, reported
 
 
 @dataclass(frozen=True, slots=True)

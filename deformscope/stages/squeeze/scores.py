@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 
 from deformscope.arrays import FloatArray, IntArray
-from deformscope.results.declared import derived, reported
+from deformscope.results.render import derived, reported
 from deformscope.stages.squeeze.table import LabelledTable, Protocol, Split, TextArray
 from deformscope.stages.squeeze.trial_run import Answers, Key, Method
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from deformscope.arrays import FloatArray
-from deformscope.results.declared import derived, reported
+from deformscope.results.render import derived, reported
 
 PHYSICAL = (
     "force_n",
