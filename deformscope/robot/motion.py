@@ -12,7 +12,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from deformscope.robot.supervisor import Fault
-from deformscope_drivers.arm.commands import DAMPED_BELOW, NEGLIGIBLE_DEG_S, OFF_COURSE
+from deformscope_drivers.arm.device import DAMPED_BELOW, NEGLIGIBLE_DEG_S, OFF_COURSE
 from deformscope_drivers.arm.kinematics import (
     Chain,
     FloatArray,

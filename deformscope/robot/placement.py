@@ -16,7 +16,7 @@ import numpy.typing as npt
 from deformscope.errors import InputError
 from deformscope.rig.rig_file import Tool
 from deformscope_drivers.arm import kinematics
-from deformscope_drivers.arm.commands import DAMPED_BELOW, OFF_COURSE
+from deformscope_drivers.arm.device import DAMPED_BELOW, OFF_COURSE
 
 TURNED_RAD = 0.7
 """An arm whose end is further than this from its planned rotation moves joint by joint, perhaps reconfigured."""

@@ -14,8 +14,7 @@ from concurrent.futures import Future, wait
 from pathlib import Path
 from typing import Any
 
-from deformscope_drivers.arm.commands import Velocity
-from deformscope_drivers.arm.device import Arm, ArmState
+from deformscope_drivers.arm.device import Arm, ArmState, Velocity
 from deformscope_drivers.arm.kinematics import Chain
 from deformscope_drivers.clock import monotonic_ns
 from deformscope_drivers.device import RECONNECT, RawChunk, Reconnect

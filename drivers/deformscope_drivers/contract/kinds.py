@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deformscope_drivers.arm.commands import JointVelocity
+from deformscope_drivers.arm.device import JointVelocity
 from deformscope_drivers.arm.kinematics import pose_error
 from deformscope_drivers.contract.devices import PATIENCE_S, Bench, Contract
 from deformscope_drivers.depth_camera.synthetic import View

@@ -1,7 +1,7 @@
 """Kinova Jaco2 over the vendor's own library: `from deformscope_drivers.jaco import Jaco, JacoConfig`."""
 
-from deformscope_drivers.arm.commands import CartesianVelocity as CartesianVelocity
-from deformscope_drivers.arm.commands import JointVelocity as JointVelocity
+from deformscope_drivers.arm.device import CartesianVelocity as CartesianVelocity
+from deformscope_drivers.arm.device import JointVelocity as JointVelocity
 from deformscope_drivers.errors import MotionStopped as MotionStopped
 from deformscope_drivers.errors import NotStopped as NotStopped
 from deformscope_drivers.jaco.chains import urdf_path as urdf_path

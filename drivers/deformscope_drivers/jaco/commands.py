@@ -1,6 +1,6 @@
 """The trajectory point of a velocity."""
 
-from deformscope_drivers.arm.commands import JointVelocity, Velocity
+from deformscope_drivers.arm.device import JointVelocity, Velocity
 from deformscope_drivers.jaco import structures
 
 

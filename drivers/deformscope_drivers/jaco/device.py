@@ -18,8 +18,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Self
 
-from deformscope_drivers.arm.commands import JointVelocity, Velocity, by_joints, linear_velocity_of
-from deformscope_drivers.arm.device import CALL_MS, Arm
+from deformscope_drivers.arm.device import CALL_MS, Arm, JointVelocity, Velocity, by_joints, linear_velocity_of
 from deformscope_drivers.arm.hosted import HostedArm
 from deformscope_drivers.arm.kinematics import Chain
 from deformscope_drivers.clock import Clock, monotonic_ns

@@ -10,8 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from deformscope_drivers.arm import kinematics
-from deformscope_drivers.arm.commands import SpeedLimits, Velocity
-from deformscope_drivers.arm.device import Arm, ArmState
+from deformscope_drivers.arm.device import Arm, ArmState, SpeedLimits, Velocity
 from deformscope_drivers.clock import Clock, Stamp, monotonic_ns
 from deformscope_drivers.device import Reconnect
 from deformscope_drivers.errors import MotionStopped, NotMovedByCommands, OutOfLimits

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from deformscope_drivers import jaco
-from deformscope_drivers.arm.commands import Velocity
+from deformscope_drivers.arm.device import Velocity
 from deformscope_drivers.arm.kinematics import FloatArray
 from deformscope_drivers.device import Reconnect
 from deformscope_drivers.errors import LinkLost, NotConnected, OutOfLimits, SettingsRefused

@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 
-from deformscope_drivers.arm.commands import CartesianVelocity, JointVelocity
+from deformscope_drivers.arm.device import CartesianVelocity, JointVelocity
 from deformscope_drivers.jaco import errors
 from deformscope_drivers.jaco.chains import CHAINS, J2N6S300
 from deformscope_drivers.jaco.commands import velocity_point

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from deformscope_drivers.arm.commands import CartesianVelocity, JointVelocity
+from deformscope_drivers.arm.device import CartesianVelocity, JointVelocity
 from deformscope_drivers.errors import SettingsRefused
 from deformscope_drivers.jaco import Jaco, JacoConfig, JacoDouble
 from deformscope_drivers.jaco.commands import velocity_point

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from deformscope_drivers.arm import kinematics
-from deformscope_drivers.arm.commands import CartesianVelocity, JointVelocity
+from deformscope_drivers.arm.device import CartesianVelocity, JointVelocity
 from deformscope_drivers.arm.kinematics import FloatArray
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.jaco import errors, structures

@@ -20,8 +20,7 @@ import numpy as np
 
 from deformscope_drivers import errors
 from deformscope_drivers.arm import kinematics
-from deformscope_drivers.arm.commands import by_joints
-from deformscope_drivers.arm.device import Arm, ArmState
+from deformscope_drivers.arm.device import Arm, ArmState, by_joints
 from deformscope_drivers.arm.hosted import HostedArm
 from deformscope_drivers.clock import Clock, Stamp, monotonic_ns
 from deformscope_drivers.device import ROUND_S
