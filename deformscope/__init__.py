@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from deformscope.runs.calibration_result import CalibrationResult as CalibrationResult
     from deformscope.runs.catalog import CatalogResult as CatalogResult
     from deformscope.runs.catalog import ComparedRecordings as ComparedRecordings
-    from deformscope.runs.classification import ClassificationResult as ClassificationResult
+    from deformscope.runs.classification_report import ClassificationResult as ClassificationResult
     from deformscope.runs.exploration_result import ExplorationResult as ExplorationResult
     from deformscope.runs.exploration_run import OwnScene as OwnScene
     from deformscope.runs.exploration_run import TouchPlanner as TouchPlanner

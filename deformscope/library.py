@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from deformscope.runs.calibration import PairArrays
     from deformscope.runs.calibration_result import CalibrationResult
     from deformscope.runs.catalog import CatalogResult, ComparedRecordings
-    from deformscope.runs.classification import ClassificationResult, TableSource
+    from deformscope.runs.classification_report import ClassificationResult, TableSource
     from deformscope.runs.exploration_result import ExplorationResult
     from deformscope.runs.exploration_run import OwnScene, TouchPlanner
     from deformscope.runs.indentation import CurveArrays, IndentResult
@@ -401,7 +401,7 @@ def classify(
     options that it has not."""
     from deformscope.config import ClassifyConfig
     from deformscope.config.classify import parse_merges, parse_transfers
-    from deformscope.runs.classification import classify_table, options_of, table_from
+    from deformscope.runs.classification_report import classify_table, options_of, table_from
 
     with _python_names():
         patterns = [transfer] if isinstance(transfer, str) else transfer

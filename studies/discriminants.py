@@ -16,7 +16,7 @@ from sklearn.discriminant_analysis import LinearDiscriminantAnalysis, QuadraticD
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.config import flags
 from deformscope.pictures.report import Table
-from deformscope.runs.classification import table_from
+from deformscope.runs.classification_report import table_from
 from deformscope.stages.squeeze.classifiers import SHARES, Name, columns_of, fit, floored, folds_of
 from deformscope.stages.squeeze.table import LabelledTable, draw
 from deformscope.stages.squeeze.trial_run import sides_of

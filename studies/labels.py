@@ -14,7 +14,7 @@ import numpy as np
 
 from deformscope.config import flags
 from deformscope.pictures.report import Table
-from deformscope.runs.classification import ClassificationResult
+from deformscope.runs.classification_report import ClassificationResult
 from deformscope.stages.squeeze.evaluation import EvaluationOptions, evaluate
 from deformscope.stages.squeeze.scores import wilson
 from deformscope.stages.squeeze.table import LabelledTable

@@ -15,7 +15,7 @@ from deformscope.session import Step
 def run(config: ClassifyConfig) -> None:
     """Evaluate, print, draw and write."""
     from deformscope.files.classifier_file import save_classifier
-    from deformscope.runs.classification import classify_table, options_of, table_from
+    from deformscope.runs.classification_report import classify_table, options_of, table_from
 
     table = table_from(
         config.table, modalities=config.modalities, merge=parse_merges(config.merge), duplicates=config.duplicates

@@ -15,8 +15,13 @@ from deformscope.files.classifier_file import save_classifier
 from deformscope.files.squeeze_dataset import TrialRow
 from deformscope.lab.container_setup import KINDS
 from deformscope.pictures.report import Section, Table
-from deformscope.runs.classification import QUICK_SPLITS, ClassificationResult, classify_table
-from deformscope.runs.classification_report import classification_page, classification_pictures
+from deformscope.runs.classification_report import (
+    QUICK_SPLITS,
+    ClassificationResult,
+    classification_page,
+    classification_pictures,
+    classify_table,
+)
 from deformscope.stages.squeeze.evaluation import EvaluationOptions
 from deformscope.stages.squeeze.table import LabelledTable
 from studies.reproduce.container_findings import FindingComparison, compare_findings

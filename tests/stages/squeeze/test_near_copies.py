@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from deformscope.runs.classification import ClassificationResult, format_told
+from deformscope.runs.classification_report import ClassificationResult, format_told
 from deformscope.stages.squeeze.evaluation import Evaluation, EvaluationOptions, evaluate
 from deformscope.stages.squeeze.groupings import near_copies
 from deformscope.stages.squeeze.scores import difference, over_splits
