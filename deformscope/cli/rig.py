@@ -11,7 +11,7 @@ from deformscope.errors import InputError
 from deformscope.file_io import resolve
 from deformscope.rig.new_rig import NewDevice, example_rig, rig_text
 from deformscope.rig.rig_file import parse_rig
-from deformscope.runs.operator import at_terminal
+from deformscope.runs.skeleton import at_terminal
 from deformscope_drivers.interface import DRIVERS
 
 ANSWER_S = 1.0

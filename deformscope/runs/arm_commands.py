@@ -24,8 +24,7 @@ from deformscope.robot.robot import Robot, RobotStopped
 from deformscope.robot.setup import RigParts, Setup, only_device, open_rig
 from deformscope.robot.travel import to_above
 from deformscope.runs.opened_devices import setup_of, table_of
-from deformscope.runs.operator import POLL_S, Keys, RunOperator, terminal_keys
-from deformscope.runs.skeleton import leave_arm, open_rig_run, signal_word
+from deformscope.runs.skeleton import POLL_S, Keys, RunOperator, leave_arm, open_rig_run, signal_word, terminal_keys
 from deformscope.session import BATCH_S, Inline
 from deformscope.stages.map.exploration import ExplorationStop
 from deformscope.terminal import Interruption, say, until_interrupted

@@ -173,7 +173,7 @@ def setup_of_rig(rig: "Rig", seed: int = 0) -> "Setup":
     from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
     from deformscope.lab.rig_members import member_of
     from deformscope.robot.setup import RigParts, rig_setup
-    from deformscope.runs.operator import PersonAtTerminal
+    from deformscope.runs.skeleton import PersonAtTerminal
 
     parts = RigParts.of(rig)
     table = table_of(parts, seed)[0]

@@ -13,8 +13,8 @@ from deformscope.pictures.report import Table
 from deformscope.recording.item_rows import read_rows
 from deformscope.recording.items import ITEMS, read_estimates, read_streams
 from deformscope.recording.reader import Replay
-from deformscope.runs.operator import wait_for_enter
 from deformscope.runs.replay_result import Different, ReplayResult, compare
+from deformscope.runs.skeleton import wait_for_enter
 from deformscope.stages.msm.quiet import quiet_warp
 from deformscope.terminal import Progress
 

@@ -22,8 +22,7 @@ from deformscope.rig.rig_edit import Values, edited, lines_of
 from deformscope.rig.rig_file import Rig, load_rig
 from deformscope.robot.setup import ROLES, RigParts, only_device, open_rig
 from deformscope.runs.opened_devices import table_of
-from deformscope.runs.operator import RunOperator, at_terminal
-from deformscope.runs.skeleton import open_rig_run
+from deformscope.runs.skeleton import RunOperator, at_terminal, open_rig_run
 from deformscope.session import RigExperiment, Step, run
 from deformscope.terminal import Interruption, say, until_interrupted
 

@@ -11,9 +11,8 @@ from deformscope.errors import InputError
 from deformscope.log.layout import SQUEEZE, SqueezeLayout
 from deformscope.runs import skeleton
 from deformscope.runs.opened_devices import LAB, squeeze_setup_of
-from deformscope.runs.operator import at_terminal
 from deformscope.runs.result import open_recorder
-from deformscope.runs.skeleton import agree, open_run
+from deformscope.runs.skeleton import agree, at_terminal, open_run
 from deformscope.runs.squeeze_result import SqueezeResult
 from deformscope.terminal import say, until_interrupted
 

@@ -18,7 +18,7 @@ from deformscope.robot.latch import Action
 from deformscope.robot.robot import MotionHeld, RobotStopped, TipVelocity
 from deformscope.robot.supervisor import Fault
 from deformscope.robot.touch import TouchEnding, TouchRecord, run_touch
-from deformscope.runs import operator, skeleton
+from deformscope.runs import skeleton
 from deformscope.stages.map.exploration import PlannedTouch, TouchForecast
 from deformscope.terminal import Interruption
 from studies.fault_study import FaultScene, make_scene
@@ -91,11 +91,11 @@ def test_the_page_asks_for_a_finger_on_the_tip_before_the_arm_may_move() -> None
 
 def test_a_real_arm_begins_once_somebody_confirms_it_on_the_page(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: False))  # nobody sits at a terminal
-    monkeypatch.setattr(operator, "POLL_S", 0.0)
+    monkeypatch.setattr(skeleton, "POLL_S", 0.0)
     steered = Steered(begun=False)
     assert (steered.session.state.phase, steered.session.state.commands) == ("idle", ("stop",))
     steered.steering.wait_for("up to 8 touches of 3 N")
-    question = operator.RunOperator(steered.ended, steered.steering.is_agreed).line("?")
+    question = skeleton.RunOperator(steered.ended, steered.steering.is_agreed).line("?")
     next(question)
     assert steered.say(messages.StartExploring)[0] == "begun"
     next(question)
