@@ -17,8 +17,8 @@ from typing import Any, Literal
 from deformscope.errors import InputError
 from deformscope.frames import Stream
 from deformscope.plain import plain
-from deformscope.recording.export.images import ExportedImages, Note, Videos, counted_images, export_images
 from deformscope.recording.export.manifest import SCHEMA_VERSION
+from deformscope.recording.export.mcap import ExportedImages, Note, Videos, counted_images, export_images
 from deformscope.recording.export.table_files import IMAGES, TABLE_FILES, TableFile
 from deformscope.recording.lock import one_at_a_time
 from deformscope.recording.provenance import exported
