@@ -19,9 +19,8 @@ import pyarrow as pa
 
 from deformscope.errors import InputError
 from deformscope.file_io import check_size, nearest_file, utf8_path
-from deformscope.files.delimited import COLUMN_BYTES, TableForm, form_of, moment_ns, open_table, unique_names
 from deformscope.files.sources import natural_key
-from deformscope.files.table_file import TEXTS
+from deformscope.files.table_file import COLUMN_BYTES, TEXTS, TableForm, form_of, moment_ns, open_table, unique_names
 from deformscope.imports.unpacked import bounded, check_chunks
 from deformscope.recording.export.manifest import ExportedStream, Manifest, read_manifest
 

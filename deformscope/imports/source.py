@@ -13,7 +13,7 @@ from typing import Any
 
 from deformscope.errors import InputError
 from deformscope.file_io import read_file
-from deformscope.files.delimited import moment_ns
+from deformscope.files.table_file import moment_ns
 from deformscope.frames import DepthFrame, Frame, HealthReport, Item, Stream, host_ns
 from deformscope.imports.frame_builder import DEPTH_UNIT, TIME_NS, FrameBuilder, valid_of
 from deformscope.imports.import_map import ASKED, ImportMap, MappedStream

@@ -11,7 +11,7 @@ from deformscope.config import ImportConfig
 from deformscope.errors import InputError, printable
 from deformscope.experiments.live.live_stages import StageCounts, live_stages
 from deformscope.file_io import none_larger
-from deformscope.files.delimited import cut_words
+from deformscope.files.table_file import cut_words
 from deformscope.frames import HealthReport
 from deformscope.imports.import_map import ImportMap, read_map
 from deformscope.imports.inspect import Found, inspect, propose

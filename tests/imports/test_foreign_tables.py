@@ -12,9 +12,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from deformscope.cli import main
-from deformscope.files import delimited
-from deformscope.files.delimited import form_of, moment_ns
-from deformscope.files.table_file import read_table
+from deformscope.files import table_file
+from deformscope.files.table_file import form_of, moment_ns, read_table
 from deformscope.frames import WrenchFrame
 from deformscope.imports.readers import open_reader
 from tests.cases import Capture, each_once, slow
@@ -354,15 +353,15 @@ def test_a_form_is_the_same_whatever_the_first_lines_hold(monkeypatch: pytest.Mo
     """Rows after many lines of text, and tables longer than what is looked at; columns are judged once, not at each
     row."""
     judged: list[object] = []
-    whole = delimited._of_numbers
-    monkeypatch.setattr(delimited, "_of_numbers", lambda block: judged.append(block) or whole(block))
+    whole = table_file._of_numbers
+    monkeypatch.setattr(table_file, "_of_numbers", lambda block: judged.append(block) or whole(block))
     for before in (0, 1, 30, 300):
         preface = "".join(f"line {at}; text, {at}\n" for at in range(before))
         text = (preface + written(";", ",") + "0,5;1,0;2,0;3,0\n" * 20_000).encode()
         found = form_of(io.BytesIO(text))
         assert (found.separator, found.point, found.names, found.before) == (";", ",", NAMES, before)
         assert found.end == len(text)
-    assert len(judged) <= 4 * 2 * len(delimited.SEPARATORS)
+    assert len(judged) <= 4 * 2 * len(table_file.SEPARATORS)
 
 
 UNITS_TO_N = {"N": 1.0, "mN": 1e-3, "kN": 1e3, "gf": 9.80665e-3, "kgf": 9.80665, "lbf": 4.4482216152605}
