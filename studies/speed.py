@@ -18,8 +18,7 @@ import numpy as np
 
 from deformscope.bench.bodies import BenchBody, counted, cube
 from deformscope.bench.plan import BETA, CLUSTER, MIDDLE, BenchPlan, Note, default_sizes, side_of
-from deformscope.bench.report import check, machine
-from deformscope.bench.steps import WIDE_AT, WIDE_CLUSTER, Stepping
+from deformscope.bench.report import WIDE_AT, WIDE_CLUSTER, Stepping, check, machine
 from deformscope.bench.timing import OURS, Contestant, Timing, TimingRow, clock, compare
 from deformscope.config import flags
 from deformscope.pictures.report import Table

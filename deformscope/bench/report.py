@@ -1,23 +1,139 @@
-"""One run of the bench: its rows as they are measured, and the whole run as JSON."""
+"""One run of the bench: its rows as they are measured, and the whole run as JSON.
 
+Time stepping: time of one step, and of a call."""
+
+import gc
 import os
 import platform
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import time
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import warp as wp
 
-from deformscope.bench.plan import BenchPlan, Note, side_of
+from deformscope.bench.bodies import BenchBody, counted, cube
+from deformscope.bench.plan import BETA, CLUSTER, BenchPlan, Note, side_of
 from deformscope.bench.statics import relax
-from deformscope.bench.steps import steps
-from deformscope.bench.timing import TimingRow
+from deformscope.bench.timing import OURS, Contestant, Timing, TimingRow, clock, compare
 from deformscope.bench_cases import Case
 from deformscope.errors import InputError
 from deformscope.stages.msm.lanes import VECTOR_BITS
+from deformscope.stages.msm.solver import Msm
 from deformscope.version import __version__
+
+WIDE_CLUSTER, WIDE_AT = 9, 50_653
+SETUP_MOST_S = 40.0
+COPIED_BYTES, COPIES = 1 << 28, 8
+CACHES_BYTES = 1 << 27
+"""Size of a step's arrays, below which they may stay in a cache and memory's bandwidth bounds nothing."""
+READ, LEFT = ("mass", "free", "pull"), ("sums_fast", "sums_middle", "maps", "maps_slow", "maps_middle")
+"""Fields of a lattice's passes: of particles, and intermediate results between passes."""
+
+
+class Stepping:
+    """The engine's step: many in one call on a state that stays on the device, by the device's own clock on a GPU.
+
+    Nothing is subtracted. Setting up a call is part of it; `calls` has it in a row of its own."""
+
+    def __init__(self, engine: Msm, body: BenchBody, plan: BenchPlan, candidates: int = 1) -> None:
+        self._engine, self._body, self._cpu = engine, body, plan.cpu
+        self._beta = BETA if candidates == 1 else np.linspace(0.0, 0.99, candidates)
+        self.state = engine.start(candidates)
+        self.call(8)  # loads the kernels
+        self.count = 8
+        for _ in range(2):  # the first count is a guess: a short call is mostly its setting up
+            turn_s = plan.turn_s * (1 if self._cpu else 3)
+            self.count = max(8, min(50_000, int(turn_s / self().wall_s)))
+
+    def __call__(self) -> Timing:
+        return self.call(self.count).per(self.count)
+
+    def call(self, steps: int) -> Timing:
+        """A call of some steps, to the end of the last."""
+        run = partial(self._engine.advance, self.state, self._body.held_position, self._beta, steps=steps)
+        if self._cpu:
+            return clock(run)
+        gc.collect()
+        began, ended, cpu_s = *(wp.Event(enable_timing=True) for _ in range(2)), time.process_time()
+        wp.record_event(began)
+        run()
+        wp.record_event(ended)
+        cpu_s = time.process_time() - cpu_s
+        return Timing(wp.get_event_elapsed_time(began, ended) / 1e3, cpu_s)
+
+    def waited(self, steps: int) -> None:
+        """The case until the device is done, as its caller waits for it."""
+        self._engine.advance(self.state, self._body.held_position, self._beta, steps=steps)
+        wp.synchronize_device(self._engine.device)
+
+    def moved_bytes(self) -> int:
+        """Bytes of all fields that a step reads, and of those it writes and reads again: the least that must move."""
+        state, fields = self.state, self.state.operator.fields
+        again = [state.star] * 2 if state.operator.looks_ahead else [state.before]
+        arrays = [state.u, state.before, *again, *(getattr(fields, name) for name in (*READ, *LEFT, *LEFT))]
+        return sum(int(each.capacity) for each in arrays)
+
+
+def steps(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
+    """One step of ever larger cubes, and calls of them."""
+    setup_s, before = 0.0, 1
+    bandwidth = bandwidth_bytes_s(plan.device)
+    for particles in plan.sizes:
+        what = counted(particles)
+        note(f"step: {what}")
+        if (expected_s := setup_s * particles / before) > SETUP_MOST_S:
+            yield TimingRow(
+                "step", what, OURS, "ms/step", (), note=f"left out: setting up would take {expected_s:.0f} s"
+            )
+            continue
+        setup_s, before = (yield from _one_size(plan, note, particles, bandwidth)), particles
+
+
+def bandwidth_bytes_s(device: str) -> float:
+    """Bytes that the device's memory reads and writes in a second, measured by the fastest of some large copies."""
+    source, target = (wp.zeros(COPIED_BYTES // 4, dtype=wp.float32, device=device) for _ in range(2))
+
+    def copied() -> None:
+        for _ in range(COPIES):
+            wp.copy(target, source)
+        wp.synchronize_device(device)
+
+    copied()
+    return 2 * COPIED_BYTES * COPIES / min(clock(copied).wall_s for _ in range(3))
+
+
+def _one_size(plan: BenchPlan, note: Note, particles: int, bandwidth: float) -> Generator[TimingRow, None, float]:
+    """Rows of one cube, all of whose memory is free again afterwards. Returns the seconds of setting up."""
+    what, body = counted(particles), cube(side_of(particles))
+    began_s = time.perf_counter()
+    engine = plan.engine(body, precision="float32")
+    setup_s = time.perf_counter() - began_s
+    stepping = Stepping(engine, body, plan)
+    if "step" in plan.only:
+        moved = stepping.moved_bytes()
+        facts = {"particles": particles, "clusters": engine.cluster_count, "setup_s": setup_s, "bits": 32}
+        facts |= {"bytes": moved, "bandwidth_bytes_s": bandwidth} if moved > CACHES_BYTES else {}
+        named = f"{what}, clusters of {CLUSTER}^3"
+        ours = Contestant(named, OURS, stepping, "ms/step", facts=facts)
+        contestants = [ours]
+        if body.particles == WIDE_AT and not plan.quick:
+            wide = named.replace(f"{CLUSTER}^3", f"{WIDE_CLUSTER}^3")
+            stepped = Stepping(plan.engine(body, WIDE_CLUSTER, "float32"), body, plan)
+            contestants.append(Contestant(wide, OURS, stepped, "ms/step", beside=ours))
+        note(f"step: {named}")
+        yield from compare("step", contestants, plan.rounds_of_steps)
+    if "call" in plan.only:
+        yield TimingRow("call", f"{what}, set-up", OURS, "ms", (1e3 * setup_s,), facts={"particles": particles})
+        # a call of two steps, and copying the positions to the host
+        two = Contestant(f"{what}, a call of 2 steps", OURS, plan.turn(partial(stepping.waited, 2)))
+        copy = Contestant(f"{what}, positions copied out", OURS, plan.turn(partial(engine.positions, stepping.state)))
+        yield from compare("call", [two, copy], plan.rounds_of_steps)
+    return setup_s
+
 
 # Conditions of a figure besides the code: the machine, and its load
 

@@ -8,7 +8,7 @@ import warp as wp
 
 from deformscope.bench.bodies import counted, cube
 from deformscope.bench.plan import BenchPlan, Note, side_of
-from deformscope.bench.steps import Stepping
+from deformscope.bench.report import Stepping
 from deformscope.bench.timing import OURS, TimingRow
 from deformscope.processes import release_memory
 

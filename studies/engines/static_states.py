@@ -6,8 +6,8 @@ import numpy as np
 
 from deformscope.bench.bodies import BenchBody, counted, cube, poked
 from deformscope.bench.plan import BETA, CLUSTER, MIDDLE, BenchPlan, Note
+from deformscope.bench.report import Stepping
 from deformscope.bench.statics import relaxing
-from deformscope.bench.steps import Stepping
 from deformscope.bench.timing import OURS, Contestant, TimingRow, compare
 
 SHEET = (7, 15)
