@@ -21,8 +21,8 @@ from deformscope.experiments.explore.options import SHALLOW_M, VIEW_CELL_M, Expl
 from deformscope.experiments.explore.robot_geometry import Touch
 from deformscope.experiments.measured import off_the_border, sample_box
 from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
-from deformscope.lab.buried_world import slab_world
 from deformscope.lab.depth_view import DepthView
+from deformscope.lab.scene_lab import slab_world
 from deformscope.lab.scenes import RIGID_PA, Piece, Scene
 from deformscope.lab.session_errors import TOUCHES_S, LabErrors
 from deformscope.lab.slab import RigidTip

@@ -8,8 +8,8 @@ from scipy.sparse.linalg import splu
 from skfem import Basis, ElementHex1, MeshHex
 
 from deformscope.arrays import FloatArray
-from deformscope.lab.buried_world import BuriedWorld, slab_world
 from deformscope.lab.elasticity import dissected, stiffness_of
+from deformscope.lab.scene_lab import BuriedWorld, slab_world
 from deformscope.lab.scenes import BuriedBall, Scene, built_in
 from deformscope.lab.slab import RigidTip
 from deformscope.lab.slab_world import _without_pull
