@@ -190,20 +190,15 @@ def field_of(kind: type, component: str) -> CodecField | None:
 
 def to_json(value: object) -> str:
     """Dataclasses, mappings and similar values as JSON."""
-    return json.dumps(msgspec.to_builtins(value, enc_hook=_plain), sort_keys=True)
+    built = msgspec.to_builtins(value, enc_hook=lambda one: one.item() if isinstance(one, np.generic) else str(one))
+    return json.dumps(built, sort_keys=True)
 
 
 def from_json(kind: type[T], text: str) -> T:
     """Inverse of `to_json`, for this kind."""
-    return msgspec.convert(json.loads(text), kind, dec_hook=_as_given)
-
-
-def _as_given(wanted: type[Any], value: object) -> Any:
-    return value if wanted is object else wanted(value)
-
-
-def _plain(value: object) -> Any:
-    return value.item() if isinstance(value, np.generic) else str(value)
+    return msgspec.convert(
+        json.loads(text), kind, dec_hook=lambda wanted, one: one if wanted is object else wanted(one)
+    )
 
 
 @cache

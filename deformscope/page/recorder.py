@@ -153,7 +153,7 @@ class PageRecorder:
         self._lossless: Sequence[str] = ()
         self._stages: Sequence[tuple[str, str]] = ()
         self._notes = EpisodeNotes()
-        self._work = BackgroundWork(self._show_failure, self._end_work)
+        self._work = BackgroundWork(lambda what: self.session.remark(what, bad=True), self._end_work)
         self._failure: Exception | None = None
         self._shown: ShownDevices | None = None
         self.summaries: list[RecordingSummary] = []
@@ -403,9 +403,6 @@ class PageRecorder:
 
         self._work.start(name, tare)
         return "begun", f"{name}: its present load becomes zero; keep it free of contact"
-
-    def _show_failure(self, what: str) -> None:
-        self.session.remark(what, bad=True)
 
     def _end_work(self, what: str) -> None:
         with self._lock:

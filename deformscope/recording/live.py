@@ -180,14 +180,11 @@ def check_answers(viewer: Viewer, timeout_s: float) -> None:
     """Return once the viewer's server answers. Raises TimeoutError if it does not, ConnectionError if it is gone.
 
     A connection is not sufficient: the system accepts it, and a hundred kilobytes, even for a stopped process."""
-    with socket.create_connection((LOOPBACK, _port(viewer)), timeout=timeout_s) as connection:
+    port = int(viewer.url.rsplit(":", 1)[1].split("/")[0])
+    with socket.create_connection((LOOPBACK, port), timeout=timeout_s) as connection:
         connection.sendall(f"GET / HTTP/1.1\r\nHost: {LOOPBACK}\r\nConnection: close\r\n\r\n".encode())
         if not connection.recv(1):  # any answer will do: it is no page, and says so
             raise ConnectionError("the viewer closed the connection")
-
-
-def _port(viewer: Viewer) -> int:
-    return int(viewer.url.rsplit(":", 1)[1].split("/")[0])
 
 
 def _ended(pid: int) -> bool:

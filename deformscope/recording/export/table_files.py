@@ -46,8 +46,8 @@ class CsvFile:
         from pyarrow.csv import CSVWriter
 
         self._names = [name for name in schema.names if name not in IMAGES]
-        fields = [pa.field(name, _text_type(schema.field(name).type)) for name in self._names]
-        self._schema = pa.schema(fields)
+        kinds = {name: schema.field(name).type for name in self._names}
+        self._schema = pa.schema([(name, pa.string() if _is_flat(kind) else kind) for name, kind in kinds.items()])
         self._writer = CSVWriter(str(path), self._schema)
 
     def write(self, batch: pa.RecordBatch) -> None:
@@ -128,10 +128,6 @@ def _flat(column: pa.Array) -> tuple[npt.NDArray[Any], npt.NDArray[np.int64]]:
     rows = column.to_pylist()
     encoded = [(row.encode() if isinstance(row, str) else row) or b"" for row in rows]
     return np.frombuffer(b"".join(encoded), np.uint8), np.array([len(row) for row in encoded], np.int64)
-
-
-def _text_type(kind: pa.DataType) -> pa.DataType:
-    return pa.string() if _is_flat(kind) else kind
 
 
 def _as_text(column: pa.Array) -> pa.Array:

@@ -26,12 +26,12 @@ from deformscope_drivers.device import RECONNECT, Reconnect
 from deformscope_drivers.errors import LinkLost, MotionStopped, NotConnected, OutOfLimits, Stale
 from deformscope_drivers.health import Identity, Link
 from deformscope_drivers.jaco.chains import urdf_path
-from deformscope_drivers.jaco.commands import velocity_point
 from deformscope_drivers.jaco.config import JacoConfig
 from deformscope_drivers.jaco.errors import NotHomed, NotReached, VendorError
 from deformscope_drivers.jaco.library import Functions, Library, call
 from deformscope_drivers.jaco.reading import JacoState, StateReader
 from deformscope_drivers.jaco.startup import JacoIdentity, bring_up, check_pose, let_go
+from deformscope_drivers.jaco.structures import velocity_point
 from deformscope_drivers.memory import SimulatedClock
 from deformscope_drivers.pacing import Pacer, SlotPacer
 

@@ -10,6 +10,8 @@ from ctypes import c_char, c_double, c_float, c_int, c_short, c_ubyte, c_uint, c
 from enum import IntEnum
 from typing import Any
 
+from deformscope_drivers.arm.device import JointVelocity, Velocity
+
 STRING_LENGTH = 20
 DEVICE_COUNT_MAX = 20
 FINGER_COUNT = 3
@@ -243,3 +245,15 @@ def finger_values(info: FingersPosition) -> tuple[float, float, float]:
 def sensor_temperatures(info: SensorsInfo, joint_count: int) -> tuple[float, ...]:
     """Temperatures of the joints that the arm has [deg C]."""
     return tuple(getattr(info, f"ActuatorTemp{i}") for i in range(1, joint_count + 1))
+
+
+def velocity_point(velocity: Velocity) -> TrajectoryPoint:
+    """The point that asks for a velocity during one cycle of the arm (the device sends those of joints alone)."""
+    point = TrajectoryPoint()
+    if isinstance(velocity, JointVelocity):
+        point.Position.Type = PositionType.ANGULAR_VELOCITY
+        point.Position.Actuators = AngularInfo(*velocity.rates_deg_s)
+    else:
+        point.Position.Type = PositionType.CARTESIAN_VELOCITY
+        point.Position.CartesianPosition = CartesianInfo(*velocity.linear_m_s, *velocity.angular_rad_s)
+    return point

@@ -168,9 +168,6 @@ class Firmware:
     def _reports_duration(self) -> bool:
         return self.release >= codes.DURATION_REPLIES_SINCE
 
-    def _debug(self, *lines: str) -> list[Event]:
-        return [] if self._reports_duration else [DebugLine(line) for line in lines]
-
     def _plan_line(self, targets_deg: Sequence[float | None], duration_s: float) -> str:
         distance = max(
             (0.0 if target is None else abs(target - axis.position_deg))
@@ -187,7 +184,7 @@ class Firmware:
         duration_s = self.motion.duration_s(targets, velocities)
         plan = self._plan_line(targets, duration_s)
         if name == "get_duration":
-            return [*self._debug(plan), ValueReply(name, (duration_s,))]
+            return [*(() if self._reports_duration else (DebugLine(plan),)), ValueReply(name, (duration_s,))]
         self._keep_reporting(now_ns)
         for index in range(codes.AXIS_COUNT):
             self.motion.power(index, True)

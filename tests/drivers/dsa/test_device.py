@@ -12,7 +12,7 @@ from deformscope_drivers.device import Reconnect
 from deformscope_drivers.dsa import Dsa, DsaConfig, DsaDouble
 from deformscope_drivers.dsa.double import BOOT_S
 from deformscope_drivers.dsa.messages import Ack, ConfigureAcquisition, Reading, SetSensitivity
-from deformscope_drivers.dsa.pads import Curve, thesis_feature
+from deformscope_drivers.dsa.pads import Curve
 from deformscope_drivers.dsa.protocol import CommandDecoder, encode, stop, stream
 from deformscope_drivers.memory import MemoryTransport, SimulatedClock
 from deformscope_drivers.wires import PtyWire, TcpWire
@@ -167,7 +167,6 @@ def test_a_press_comes_out_where_it_is() -> None:
         assert device.pressure_pa(reading)[3].max() == 4000.0
         assert contact.force_n == pytest.approx(4000.0 * 3.4e-3**2)
         assert contact.center_m == pytest.approx((2.5 * 3.4e-3, 6 * 3.4e-3))
-        assert thesis_feature(reading.pads).shape == (72,)
         with pytest.raises(ValueError, match="read-only"):
             reading.pads[0][0, 0] = 1
 

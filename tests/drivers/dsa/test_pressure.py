@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deformscope_drivers.dsa.messages import MatrixInfo
-from deformscope_drivers.dsa.pads import CONTACT_COUNTS, Curve, Pad, Part, pad_contact, thesis_feature, to_pressure
+from deformscope_drivers.dsa.pads import CONTACT_COUNTS, Curve, Pad, pad_contact, to_pressure
 
 ZERO = (0.0, 0.0, 0.0)
 MATRIX = MatrixInfo(0, 3.0, 4.0, 6, 13, bytes(6), bytes(2), 1, ZERO, ZERO, 0.0, 0)
@@ -101,19 +101,3 @@ def test_pads_by_name() -> None:
     assert [Pad.of_matrix(matrix).matrix for matrix in range(6)] == list(range(6))
     ipa_order = (2, 3, 4, 5, 0, 1)  # matrices in IPA's ROS messages: thumb, finger 1, finger 2, each proximal, distal
     assert [Pad.of_matrix(matrix).finger for matrix in ipa_order] == [1, 1, 2, 2, 0, 0]
-
-
-def test_the_feature_is_the_first_six_rows_of_two_fingertips() -> None:
-    pads = [np.arange(rows * 6).reshape(rows, 6) + 1000 * matrix for matrix, rows in enumerate((14, 13) * 3)]
-    feature = thesis_feature(pads)
-    assert feature.shape == (72,)
-    assert feature[:36].reshape(6, 6).tolist() == pads[1][:6].tolist()
-    assert feature[36:].tolist() == pads[Pad(2, Part.DISTAL).matrix].ravel()[:36].tolist()
-    assert thesis_feature(pads, (1, 0))[0] == 3000
-
-
-def test_a_feature_of_pads_that_are_not_there() -> None:
-    with pytest.raises(ValueError, match="finger_2_distal"):
-        thesis_feature([np.zeros((14, 6))] * 4)
-    with pytest.raises(ValueError, match="36 texels"):
-        thesis_feature([np.zeros((5, 6))] * 6)

@@ -8,10 +8,9 @@ import pytest
 from deformscope_drivers.arm.device import CartesianVelocity, JointVelocity
 from deformscope_drivers.jaco import errors
 from deformscope_drivers.jaco.chains import CHAINS, J2N6S300
-from deformscope_drivers.jaco.commands import velocity_point
 from deformscope_drivers.jaco.double import JacoDouble
 from deformscope_drivers.jaco.library import Connection, call, devices, read
-from deformscope_drivers.jaco.structures import AngularPosition, TrajectoryPoint
+from deformscope_drivers.jaco.structures import AngularPosition, TrajectoryPoint, velocity_point
 from tests.drivers.jaco.benches import CBench, PythonBench, VendorBench
 from tests.drivers.jaco.vendor_contract import VendorContract, joints, pose, stream
 from tests.patience import PATIENCE_S

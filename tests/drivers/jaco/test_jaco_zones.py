@@ -10,10 +10,9 @@ import pytest
 from deformscope_drivers.arm.device import CartesianVelocity, JointVelocity
 from deformscope_drivers.errors import SettingsRefused
 from deformscope_drivers.jaco import Jaco, JacoConfig, JacoDouble
-from deformscope_drivers.jaco.commands import velocity_point
 from deformscope_drivers.jaco.config import Workspace
 from deformscope_drivers.jaco.library import call
-from deformscope_drivers.jaco.structures import CartesianInfo, Zone, ZoneList
+from deformscope_drivers.jaco.structures import CartesianInfo, Zone, ZoneList, velocity_point
 from deformscope_drivers.jaco.zones import set_zones, zone_list
 from deformscope_drivers.memory import SimulatedClock
 

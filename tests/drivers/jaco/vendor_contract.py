@@ -11,9 +11,9 @@ from deformscope_drivers.arm.device import CartesianVelocity, JointVelocity
 from deformscope_drivers.arm.kinematics import FloatArray
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.jaco import errors, structures
-from deformscope_drivers.jaco.commands import velocity_point
 from deformscope_drivers.jaco.config import Workspace
 from deformscope_drivers.jaco.library import api_version, call, devices, read
+from deformscope_drivers.jaco.structures import velocity_point
 from deformscope_drivers.jaco.zones import boxes_of, set_zones, zone_list
 from tests.drivers.jaco.benches import DEVICE_TYPES, VendorBench
 
