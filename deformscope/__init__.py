@@ -68,7 +68,7 @@ if TYPE_CHECKING:
     from deformscope.version import __version__ as __version__
 
 _NAMES = {
-    "runs.classification": "ClassificationResult",
+    "runs.classification_report": "ClassificationResult",
     "errors": "InputError",
     "runs.exploration_run": "OwnScene TouchPlanner",
     "library": "calibrate_axes calibrate_beta calibrate_field calibrate_theta "
