@@ -31,8 +31,8 @@ from deformscope.stages.fit.estimate import Comparison, Estimate
 from deformscope.stages.fit.particle_frame import ParticleFrame, particle_frame
 from deformscope.stages.materials.axis_estimate import AxisEstimate
 from deformscope.stages.materials.field_estimate import FieldEstimate
-from deformscope.stages.materials.plasticity import YieldEstimate
 from deformscope.stages.materials.recovery import RecoveryEstimate
+from deformscope.stages.materials.yield_estimate import YieldEstimate
 from deformscope.stages.poke.certificate import RigBias
 from deformscope.stages.poke.indentation import IndentEstimate
 from deformscope.stages.see.flow import FlowField

@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from deformscope.stages.fit.motion import Motion
     from deformscope.stages.materials.axis_estimate import AxisEstimate
     from deformscope.stages.materials.field_estimate import FieldEstimate
-    from deformscope.stages.materials.plasticity import YieldEstimate
     from deformscope.stages.materials.recovery import RecoveryEstimate
+    from deformscope.stages.materials.yield_estimate import YieldEstimate
 
 
 def axes_png(found: "AxisEstimate") -> bytes:

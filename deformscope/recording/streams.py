@@ -33,8 +33,8 @@ from deformscope.stages.map.exploration import MapEstimate
 from deformscope.stages.map.perception import ForcePose
 from deformscope.stages.materials.axis_estimate import AxisEstimate
 from deformscope.stages.materials.field_estimate import FieldEstimate
-from deformscope.stages.materials.plasticity import YieldEstimate
 from deformscope.stages.materials.recovery import RecoveryEstimate
+from deformscope.stages.materials.yield_estimate import YieldEstimate
 from deformscope_drivers.health import Health
 
 if TYPE_CHECKING:

@@ -20,8 +20,8 @@ from deformscope.stages.fit.estimate import Estimate
 from deformscope.stages.map.exploration import MapEstimate, TouchEstimate
 from deformscope.stages.materials.axis_estimate import AxisEstimate
 from deformscope.stages.materials.field_estimate import FieldEstimate
-from deformscope.stages.materials.plasticity import YieldEstimate
 from deformscope.stages.materials.recovery import RecoveryEstimate
+from deformscope.stages.materials.yield_estimate import YieldEstimate
 from deformscope.stages.poke.indentation import IndentEstimate, combine
 from deformscope.stages.squeeze.events import SqueezeEvents
 from deformscope.stages.squeeze.trial import ContentPosterior

@@ -43,9 +43,10 @@ from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.fit.search import Progress
 from deformscope.stages.materials.axis_estimate import ACROSS_VIEW, AxisEstimate
 from deformscope.stages.materials.field_estimate import FieldEstimate
-from deformscope.stages.materials.plasticity import YieldEstimate, YieldOptions
+from deformscope.stages.materials.plasticity import YieldOptions
 from deformscope.stages.materials.press_cycle import PressForce
 from deformscope.stages.materials.recovery import RecoveryEstimate
+from deformscope.stages.materials.yield_estimate import YieldEstimate
 from deformscope.stages.msm.quiet import quiet_warp
 from deformscope.stages.msm.solver import pick_device
 from deformscope.stages.see.particles import clean_mask

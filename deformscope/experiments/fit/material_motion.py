@@ -22,8 +22,9 @@ from deformscope.stages.materials.anisotropy import fit_axes
 from deformscope.stages.materials.axis_estimate import AxisEstimate
 from deformscope.stages.materials.field import fit_field
 from deformscope.stages.materials.field_estimate import FieldEstimate
-from deformscope.stages.materials.plasticity import YieldEstimate, YieldOptions, fit_yield, simulate_yielding
+from deformscope.stages.materials.plasticity import YieldOptions, fit_yield, simulate_yielding
 from deformscope.stages.materials.recovery import RecoveryEstimate, fit_recovery
+from deformscope.stages.materials.yield_estimate import YieldEstimate
 from deformscope.stages.msm.materials import AxisBeta
 from deformscope.stages.see.particles import select_held
 
