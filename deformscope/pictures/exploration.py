@@ -120,7 +120,8 @@ def result_png(maps: MapEstimate, title: str = "", found: InclusionsResult | Non
             axes = figure.add_axes(((column + left) / 3, share * (1 - row + bottom), width / 3, share * height))
             draw(axes, maps)
     figure.text(0.02, 0.975, title or "What the touches measured", fontsize=14, weight="bold", va="top")
-    figure.text(0.98, 0.972, _headline(maps), fontsize=11, ha="right", va="top")
+    said = [counted(maps.touches, "touch"), format_verdict(maps), format_iou(maps), format_travel(maps.travel_m)]
+    figure.text(0.98, 0.972, ", ".join(one for one in said if one), fontsize=11, ha="right", va="top")
     return png_of(figure, DPI)
 
 
@@ -643,11 +644,6 @@ def _title(axes: "Axes", title: str, words: str) -> None:
         title, (0.0, 1.0), xycoords="axes fraction", xytext=(0, above), textcoords="offset points", fontsize=13,
         weight="bold", va="bottom", ha="left",
     )  # fmt: skip
-
-
-def _headline(maps: MapEstimate) -> str:
-    said = [counted(maps.touches, "touch"), format_verdict(maps), format_iou(maps), format_travel(maps.travel_m)]
-    return ", ".join(one for one in said if one)
 
 
 # Figures -------------------------------------------------------------------------------------------------------------

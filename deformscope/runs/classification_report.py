@@ -360,7 +360,7 @@ def _sections(
 
     def of(*starts: str) -> list[Part]:
         return [
-            Figure(png, f"{FIGURES[name.split('-')[0]].capitalize()}{_which(name)}.")
+            Figure(png, ": ".join((FIGURES[name.split("-")[0]].capitalize(), *name.split("-", 1)[1:])) + ".")
             for name, png in drawn.items()
             if name.split("-")[0] in starts
         ]
@@ -425,11 +425,6 @@ def _verdict(found: Evaluation) -> ReportVerdict:
 
 def _sentence(words: str) -> str:
     return f"{words[0].upper()}{words[1:]}"
-
-
-def _which(name: str) -> str:
-    rest = name.split("-", 1)[1] if "-" in name else ""
-    return f": {rest}" if rest else ""
 
 
 def _groupings(found: Evaluation) -> list[Part]:

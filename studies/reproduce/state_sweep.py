@@ -15,15 +15,15 @@ from deformscope.log.rig.blueprint import blueprint_of
 from deformscope.log.views import OwnView
 from deformscope.pictures.palette import HELD, JOINTS, REST, SIMULATED
 
-GUIDE = """\
+STEPS = 100
+"""Steps of a parameter's timeline from 0 to 1, which counts whole steps."""
+GUIDE = f"""\
 ### What beta and theta do
 
 Particles are held where they are yellow, come to rest where they are red, and were where they are green. Scrub the
-timeline **beta** or **theta**: the bottom left chooses it, and it counts hundredths (37 is 0.37). A body moves on the
+timeline **beta** or **theta**: the bottom left chooses it, and it counts {STEPS} steps from 0 to 1. A body moves on the
 timeline that its view's title begins with, and rests on the other.
 """
-STEPS = 100
-"""Steps of a parameter's timeline from 0 to 1, which counts whole steps."""
 FPS = 20.0
 UNIT_M, MARGIN = 0.01, 0.12
 """Unit of the ruler [m]; margin around a body, as a share of its size."""
