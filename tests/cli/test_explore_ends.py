@@ -319,7 +319,6 @@ def test_terminal_json_panel_and_map_file_give_the_same_numbers(
     bench: FakeBench, tmp_path: Path, capsys: Capture
 ) -> None:
     from deformscope.log.exploration.display import summary
-    from deformscope.pictures.exploration import _headline
     from deformscope.stages.map.exploration import MapEstimate
 
     record, told, arrays = tmp_path / "e.rrd", tmp_path / "e.json", tmp_path / "e.npz"
@@ -332,7 +331,6 @@ def test_terminal_json_panel_and_map_file_give_the_same_numbers(
     travel = f"{found['travel_m']:.2f} m over the surface"
     assert travel in shown
     assert travel in panel
-    assert travel in _headline(last)
     way = np.linalg.norm(np.diff([(0.0, 0.0), *(touch["xy_m"] for touch in found["touches"])], axis=0), axis=1)
     assert found["travel_m"] == pytest.approx(way.sum())
     assert found["region_count"] == len(found["regions"]) == last.region_count == 2

@@ -202,6 +202,15 @@ def test_lumps_are_drawn_where_they_are_and_said_in_words(monkeypatch: pytest.Mo
     assert "0.5 before any touch" in dict(none.rows)["an inclusion missed"]
 
 
+def test_a_result_says_its_touches_and_its_travel(monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+    monkeypatch.setattr(pictures, "png_of", lambda figure, _: said.extend(one.get_text() for one in figure.texts))
+    pictures.result_png(MAPS, "Two foams")
+    assert said[0] == "Two foams"
+    assert said[1].startswith("6 touches, ")
+    assert said[1].endswith(f"travel {MAPS.travel_m:.2f} m over the surface")
+
+
 def test_a_result_is_one_picture_the_same_each_time(tmp_path: Path) -> None:
     png = pictures.result_png(MAPS, "Two foams")
     assert png == pictures.result_png(MAPS, "Two foams")
