@@ -1,6 +1,6 @@
 """One run of the bench: its rows as they are measured, and the whole run as JSON.
 
-Time stepping: time of one step, and of a call."""
+Cases: time stepping (time of one step, and of a call), and static states of ever larger cubes."""
 
 import gc
 import os
@@ -15,14 +15,14 @@ from pathlib import Path
 import numpy as np
 import warp as wp
 
-from deformscope.bench.bodies import BenchBody, counted, cube
+from deformscope.arrays import FloatArray
+from deformscope.bench.bodies import BenchBody, counted, cube, poked
 from deformscope.bench.plan import BETA, CLUSTER, BenchPlan, Note, side_of
-from deformscope.bench.statics import relax
 from deformscope.bench.timing import OURS, Contestant, Timing, TimingRow, clock, compare
 from deformscope.bench_cases import Case
 from deformscope.errors import InputError
 from deformscope.stages.msm.lanes import VECTOR_BITS
-from deformscope.stages.msm.solver import Msm
+from deformscope.stages.msm.solver import Msm, Relaxed
 from deformscope.version import __version__
 
 WIDE_CLUSTER, WIDE_AT = 9, 50_653
@@ -32,6 +32,41 @@ CACHES_BYTES = 1 << 27
 """Size of a step's arrays, below which they may stay in a cache and memory's bandwidth bounds nothing."""
 READ, LEFT = ("mass", "free", "pull"), ("sums_fast", "sums_middle", "maps", "maps_slow", "maps_middle")
 """Fields of a lattice's passes: of particles, and intermediate results between passes."""
+
+
+def relax(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
+    """The static state of ever larger cubes, from rest."""
+    plan.engine(cube(4)).relax(cube(4).held_position, BETA)  # loads the kernels
+    for make in (cube, poked):
+        last_s, before = 0.0, 1
+        for particles in plan.sizes:
+            body = make(side_of(particles))
+            what = f"{body.named}, clusters of {CLUSTER}^3"
+            note(f"relax: {what}")
+            # Iterations grow with the side.
+            if (expected_s := last_s * (particles / before) ** (4 / 3)) > plan.longest_s:
+                yield TimingRow("relax", what, OURS, "ms", (), note=f"left out: it would take some {expected_s:.0f} s")
+                continue
+            (row,) = compare("relax", [relaxing(plan.engine(body), body, what, BETA)], plan.rounds)
+            last_s, before = min(row.samples) / 1e3, particles
+            yield row
+
+
+def relaxing(engine: Msm, body: BenchBody, what: str, beta: FloatArray | float) -> Contestant:
+    """The static states of a body at one or several values of beta, in one call."""
+    last: list[Relaxed] = []
+
+    def run() -> None:
+        last[:] = [engine.relax(body.held_position, beta)]
+
+    def facts() -> dict[str, object]:
+        (result,) = last
+        numbers: dict[str, object] = {"particles": body.particles, "iterations_most": int(result.iterations.max())}
+        if result.smoothed.any():
+            numbers["smoothed_most"] = int(result.smoothed.max())
+        return numbers | {"converged": int(result.converged.sum()), "candidates": len(result.converged)}
+
+    return Contestant(what, OURS, lambda: clock(run), found=facts)
 
 
 class Stepping:

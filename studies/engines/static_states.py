@@ -6,8 +6,7 @@ import numpy as np
 
 from deformscope.bench.bodies import BenchBody, counted, cube, poked
 from deformscope.bench.plan import BETA, CLUSTER, MIDDLE, BenchPlan, Note
-from deformscope.bench.report import Stepping
-from deformscope.bench.statics import relaxing
+from deformscope.bench.report import Stepping, relaxing
 from deformscope.bench.timing import OURS, Contestant, TimingRow, compare
 
 SHEET = (7, 15)

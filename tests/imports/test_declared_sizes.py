@@ -162,7 +162,7 @@ def test_a_part_larger_than_it_declares_is_not_unpacked(kind: str) -> None:
     from rosbags.rosbag2 import reader as ros2
     from rosbags.rosbag2 import storage_mcap as mcap
 
-    from deformscope.imports.unpacked import bounded
+    from deformscope.imports.readers import bounded
 
     def function() -> Callable[[bytes], bytes]:
         if kind in ros1.decompressors:
@@ -184,7 +184,7 @@ def test_a_part_larger_than_it_declares_is_not_unpacked(kind: str) -> None:
 
 
 def test_chunks_of_one_time_are_bounded_together() -> None:
-    from deformscope.imports.unpacked import check_chunks
+    from deformscope.imports.readers import check_chunks
 
     def storage(*spans: tuple[int, int, int]) -> Any:
         names = ("message_start_time", "message_end_time", "uncompressed_size", "channel_count")

@@ -14,7 +14,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection
 
-from deformscope.page.server import guard
+from deformscope.page.server import page_server
 from deformscope.page.server.messages import LONGEST_MESSAGE
 from deformscope.page.server.page_server import MOST_PAGES, PageServer
 from tests.page.pages import get, netloc, page_script, root, socket_to, token
@@ -201,7 +201,7 @@ def sockets_of_this_process() -> int:
 
 
 def test_a_thousand_connections_leave_room_for_the_page(page: PageServer, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(guard, "REQUEST_S", 0.3)
+    monkeypatch.setattr(page_server, "REQUEST_S", 0.3)
     address = ("127.0.0.1", int(netloc(page).split(":")[1]))
     with page_script(page, "good") as good, ExitStack() as stack:
         held = []
@@ -212,7 +212,7 @@ def test_a_thousand_connections_leave_room_for_the_page(page: PageServer, monkey
                 break
         deadline = time.monotonic() + PATIENCE_S
         # the server's own share, since we are one process: what comes in one burst is taken before it is refused
-        while sockets_of_this_process() - len(held) >= 2 * guard.MOST_STRANGERS:
+        while sockets_of_this_process() - len(held) >= 2 * page_server.MOST_STRANGERS:
             assert time.monotonic() < deadline
             time.sleep(0.01)
         assert good.command("stop")[0] == "refused"  # it answers who was there before
@@ -301,7 +301,7 @@ def test_three_hundred_that_come_back_at_once_keep_no_page_away(page: PageServer
 
 @pytest.mark.parametrize("words", [b"", b"GET / HTTP/1.1\r\n", b"GET /x/ HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"])
 def test_who_has_not_shown_the_token_within_a_second_is_cut_off(page: PageServer, words: bytes) -> None:
-    assert guard.REQUEST_S <= 1.0
+    assert page_server.REQUEST_S <= 1.0
     with socket.create_connection(("127.0.0.1", int(netloc(page).split(":")[1])), PATIENCE_S) as connection:
         connection.sendall(words)
         with suppress(ConnectionResetError):
@@ -310,7 +310,7 @@ def test_who_has_not_shown_the_token_within_a_second_is_cut_off(page: PageServer
 
 
 def test_who_has_shown_the_token_is_not_cut_off(page: PageServer, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(guard, "REQUEST_S", 0.05)
+    monkeypatch.setattr(page_server, "REQUEST_S", 0.05)
     connection = HTTPConnection(netloc(page), timeout=PATIENCE_S)
     with page_script(page, "good") as good, closing(connection):
         connection.connect()
@@ -319,7 +319,7 @@ def test_who_has_shown_the_token_is_not_cut_off(page: PageServer, monkeypatch: p
             connection.request("GET", root(page))
             assert connection.getresponse().read()
             assert connection.sock is connected
-            time.sleep(3 * guard.REQUEST_S)
+            time.sleep(3 * page_server.REQUEST_S)
         assert good.command("stop")[0] == "refused"
 
 

@@ -6,9 +6,8 @@ from typing import Any
 
 import warp as wp
 
-from deformscope.stages.msm.lanes import Doubles, Ints, rows_for
+from deformscope.stages.msm.lanes import Doubles, Ints, kernel_in, members, rows_for
 from deformscope.stages.msm.lattice_kernels import FAR
-from deformscope.stages.msm.members import kernel_in, members
 from deformscope.stages.msm.newton_functions import CONVERGED, DIVERGED, RUNNING, STALLED, sum_functions_for
 
 MEMORY = 8

@@ -11,8 +11,7 @@ from typing import Any
 import warp as wp
 
 from deformscope.stages.msm.functions import functions_for
-from deformscope.stages.msm.lanes import Ints, VectorC, lanes_for, product_for, rows_for
-from deformscope.stages.msm.members import members
+from deformscope.stages.msm.lanes import Ints, VectorC, lanes_for, members, product_for, rows_for
 from deformscope.stages.msm.reference import NO_ROTATION, Volume
 
 NONE, SCALE, PROJECT = 0, 1, 2

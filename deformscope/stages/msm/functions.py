@@ -6,7 +6,7 @@ from typing import Any
 
 import warp as wp
 
-from deformscope.stages.msm.members import members
+from deformscope.stages.msm.lanes import members
 from deformscope.stages.msm.reference import MIN_DENOMINATOR, NO_ROTATION
 
 

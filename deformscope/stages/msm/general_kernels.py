@@ -10,10 +10,9 @@ import warp as wp
 
 from deformscope.stages.msm.cluster_functions import cluster_functions_for
 from deformscope.stages.msm.functions import functions_for
-from deformscope.stages.msm.lanes import Ints, Sized, lanes_for, rows_for
+from deformscope.stages.msm.lanes import Ints, Sized, kernel_in, lanes_for, members, rows_for
 from deformscope.stages.msm.lattice_kernels import FAR, motion_for
 from deformscope.stages.msm.materials import LEAST_FACTOR
-from deformscope.stages.msm.members import kernel_in, members
 
 HALVINGS = 60
 """Halvings of the share that has to flow, down to rounding."""

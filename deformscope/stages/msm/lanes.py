@@ -7,7 +7,10 @@ branches over the lanes, which compilers vectorize if they are short; they do no
 matrices.
 
 Results depend on the width in their last digits: all lanes take as many of Newton's steps for their rotation as the
-slowest one, and a static state's sums over particles are lane by lane."""
+slowest one, and a static state's sums over particles are lane by lane.
+
+At the end are the common parts of the kernel factories: the module of their kernels, and the names of their return
+values."""
 
 import functools
 import os
@@ -25,6 +28,8 @@ FORCE_BITS = "DEFORMSCOPE_VECTOR_BITS"
 """Environment variable that replaces the processor's own value, for tests: 256 or 512."""
 
 _FORCED = os.environ.get(FORCE_BITS, "512" if __cpu_features__.get("AVX512F") else "256")
+
+
 if _FORCED not in ("256", "512"):
     raise InputError(f"{FORCE_BITS} = 256 or 512", repr(_FORCED))
 VECTOR_BITS = int(_FORCED)
@@ -200,3 +205,23 @@ class Sized:
             return wp.func_native(snippet)(function)
 
         return register
+
+
+def kernel_in(name: str, scalar: Any, options: dict[str, Any] | None = None, **each: Any) -> Any:
+    """The decorator for kernels of the module `deformscope_<name>`; each: keywords of each `wp.kernel`. options:
+    options of the module, default those of lanes of `scalar`"""
+    module = f"deformscope_{name}"
+    wp.get_module(module).options.update(module_options(scalar) if options is None else options)
+
+    def kernel(function: Any = None, *, name: str | None = None, **given: Any) -> Any:
+        if function is None:
+            return functools.partial(kernel, name=name, **given)
+        function.__name__ = name or function.__name__
+        return wp.kernel(name=name, module=module, enable_backward=False, **each, **given)(function)
+
+    return kernel
+
+
+def members(*made: Any, **named: Any) -> SimpleNamespace:
+    """Kernels, functions and struct types by the names that they were defined with; others by the given names."""
+    return SimpleNamespace(**{each.__name__: each for each in made}, **named)

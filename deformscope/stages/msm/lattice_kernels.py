@@ -17,8 +17,7 @@ from typing import Any
 import warp as wp
 
 from deformscope.stages.msm.cluster_functions import cluster_functions_for
-from deformscope.stages.msm.lanes import Ints, VectorC, lanes_for, product_for, rows_for
-from deformscope.stages.msm.members import kernel_in, members
+from deformscope.stages.msm.lanes import Ints, VectorC, kernel_in, lanes_for, members, product_for, rows_for
 
 WHOLE = 27
 """Most cells of a window that a GPU sums up along all axes at once; for larger ones that takes longer than a pass for

@@ -6,8 +6,7 @@ from typing import Any
 
 import warp as wp
 
-from deformscope.stages.msm.lanes import Doubles, Ints
-from deformscope.stages.msm.members import kernel_in, members
+from deformscope.stages.msm.lanes import Doubles, Ints, kernel_in, members
 
 
 @functools.cache

@@ -9,8 +9,7 @@ from typing import Any
 
 import warp as wp
 
-from deformscope.stages.msm.lanes import Ints, rows_for
-from deformscope.stages.msm.members import kernel_in, members
+from deformscope.stages.msm.lanes import Ints, kernel_in, members, rows_for
 from deformscope.stages.msm.newton_functions import sum_functions_for
 
 

@@ -10,9 +10,8 @@ from typing import Any
 
 import warp as wp
 
-from deformscope.stages.msm.lanes import Doubles, Ints, Sized, lanes_for, rows_for
+from deformscope.stages.msm.lanes import Doubles, Ints, Sized, lanes_for, members, rows_for
 from deformscope.stages.msm.lattice_kernels import FAR
-from deformscope.stages.msm.members import members
 
 RUNNING, CONVERGED, DIVERGED, STALLED = 1, 0, -1, 2
 

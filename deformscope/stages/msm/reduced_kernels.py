@@ -12,8 +12,7 @@ import warp as wp
 
 from deformscope.stages.msm.cluster_functions import PROJECT, SCALE
 from deformscope.stages.msm.functions import functions_for
-from deformscope.stages.msm.lanes import CPU_FLAGS, Doubles
-from deformscope.stages.msm.members import kernel_in, members
+from deformscope.stages.msm.lanes import CPU_FLAGS, Doubles, kernel_in, members
 
 BETA, THETA, TOLERANCE, MOST_ITERATIONS, STARTED, HELD = range(6)
 """Places in a candidate's row: numbers first, then held values, then the transform to start from."""

@@ -12,9 +12,8 @@ from typing import Any
 
 import warp as wp
 
-from deformscope.stages.msm.lanes import Ints
+from deformscope.stages.msm.lanes import Ints, kernel_in, members
 from deformscope.stages.msm.lattice_kernels import lattice_functions_for
-from deformscope.stages.msm.members import kernel_in, members
 from deformscope.stages.msm.newton_functions import newton_functions_for
 
 THREADS = {wp.float32: 512, wp.float64: 256}

@@ -8,8 +8,8 @@ import warp as wp
 
 from deformscope.stages.msm.anderson_kernels import anderson_kernels_for
 from deformscope.stages.msm.general_kernels import general_kernels_for
+from deformscope.stages.msm.lanes import members
 from deformscope.stages.msm.lattice_kernels import lattice_kernels_for
-from deformscope.stages.msm.members import members
 from deformscope.stages.msm.multigrid_kernels import smoother_for, transfer_kernels_for
 from deformscope.stages.msm.newton_kernels import newton_kernels_for
 from deformscope.stages.msm.reduced_kernels import reduced_kernels_for

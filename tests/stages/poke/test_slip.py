@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deformscope.stages.poke.slip import SlipFit, fit_slip
+from deformscope.stages.poke.creep import SlipFit, fit_slip
 
 STICK, TURN = 0.8, np.array([0.6, 0.8])
 
