@@ -2,18 +2,23 @@
 
 from collections import deque
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from deformscope.errors import InputError
-from deformscope.frames import Frame, HealthReport, Item, LinkChange, RawBytes, SessionNote, Stream, host_ns
-from deformscope.rig.measured import to_frame
+from deformscope.frames import ArmFrame, Frame, HealthReport, Item, LinkChange, RawBytes, SessionNote, Stream, host_ns
+from deformscope.rig.measured import state_of, to_frame
 from deformscope.rig.rig_file import Rig
+from deformscope_drivers.arm.wrench import ZERO_READINGS, ArmWrench, ArmWrenchConfig
 from deformscope_drivers.device import RAW_DROPPED
 from deformscope_drivers.framing import Skipped
 from deformscope_drivers.health import Description, Health, Link
 from deformscope_drivers.interface import DRIVERS, Redecoder
+
+OWN, MOST_STATES = ("counts", "usable", "overload", "force_n"), 1000
+"""Fields of an arm's own force, which are compared; states that wait for its frames."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +46,14 @@ def compare_with_bytes(rig: Rig | None, streams: Sequence[Stream], items: Iterab
     if missing and rig is not None:
         raise InputError(f"a rig with {missing[0]}, which was recorded", "one without")
     checks = {stream.device: _Check(stream, configs.get(stream.device)) for stream in streams}
+    own: dict[str, _OwnCheck] = {}
+    for arm in (one for one in streams if one.kind == "arm" and one.device in configs):
+        of, chain = configs[arm.device], DRIVERS[arm.driver].chain(configs[arm.device], arm.urdf)
+        for one in streams:
+            if isinstance(config := configs.get(one.device), ArmWrenchConfig):
+                again = ArmWrench(replace(config, rate_hz=of.state_hz))
+                own[one.device] = _OwnCheck(one, again, chain, checks[arm.device])
+    checks |= own
     for item in items:
         if isinstance(item, HealthReport):
             for name, health in item.devices:
@@ -48,6 +61,8 @@ def compare_with_bytes(rig: Rig | None, streams: Sequence[Stream], items: Iterab
                     checks[name].health = health
         elif not isinstance(item, SessionNote) and item.device in checks:
             checks[item.device].take(item)
+            for waiting in own.values() if isinstance(item, ArmFrame) else ():
+                waiting.take(item)
     return [check.result() for check in checks.values()]
 
 
@@ -116,15 +131,22 @@ class _Check:
         elif not self._pieces:
             left_out = "its bytes were not recorded"
         elif self.health is not None:
-            counted, dropped = self.health.skipped_bytes, self.health.dropped + self.health.extra.get(RAW_DROPPED, 0)
+            counted = self.health.skipped_bytes
             # what a lost link cuts off is counted or not, and late answers are counted by another way
             other = self._skipped > counted if self._again.late_answers else self._skipped != counted
             if self._steady and other and not self._difference:
                 self._difference = f"{self._skipped} bytes of {stream.device} outside any frame; {counted} were counted"
-            if dropped and self._difference:
-                left_out = f"data after {self._difference}: {dropped:g} readings or pieces of bytes were dropped"
-                self._difference = ""
+            left_out = self.excused() or left_out
         return DeviceComparison(stream.device, stream.driver, self._frames, self._compared, left_out, self._difference)
+
+    def excused(self, *others: Health | None) -> str:
+        """What the difference means where readings were dropped, which then is none. others: health of other devices"""
+        known = [one for one in (self.health, *others) if one is not None]
+        dropped = sum(one.dropped + one.extra.get(RAW_DROPPED, 0) for one in known)
+        if not (dropped and self._difference):
+            return ""
+        difference, self._difference = self._difference, ""
+        return f"data after {difference}: {dropped:g} readings or pieces of bytes were dropped"
 
     def _settle(self) -> None:
         """Compare the items of one moment. Frames of a device with corrected stamps come before their bytes."""
@@ -136,18 +158,59 @@ class _Check:
         at = f"{self._stream.device} at {self._now_ns} ns"
         for frame, other in zip(recorded, decoded, strict=False):
             self._compared += 1
-            late_ns = frame.stamp.late_ns
-            if frame.stamp != (other.stamp if late_ns is None else other.stamp.put_back(late_ns)):
-                self._difference = f"another stamp of frame {frame.index} of {at}"
+            if name := _other(frame, other, self._again.compares):
+                self._difference = f"another {name} of frame {frame.index} of {at}"
                 return
-            for name in self._again.compares:
-                if not _same(getattr(frame, name), getattr(other, name)):
-                    self._difference = f"another {name} of frame {frame.index} of {at}"
-                    return
         if len(recorded) > len(decoded):
             self._difference = f"frame {recorded[len(decoded)].index} of {at}, which its bytes do not contain"
         elif len(decoded) > len(recorded) and not self._again.late_answers:
             self._difference = f"a frame in the bytes of {at}, which was not recorded"
+
+
+class _OwnCheck(_Check):
+    """The same for an arm's own force, which comes of the states of the arm. arm: the arm's check"""
+
+    def __init__(self, stream: Stream, own: ArmWrench, chain: Any, arm: _Check) -> None:
+        super().__init__(stream, None)
+        self._own, self._chain, self._arm = own, chain, arm
+        self._states: deque[ArmFrame] = deque(maxlen=MOST_STATES)
+
+    def take(self, item: Frame | RawBytes | LinkChange) -> None:
+        if isinstance(item, ArmFrame):
+            self._states.append(item)
+        elif isinstance(item, Frame):
+            self._frames += 1
+            self._recorded.append(item)
+        while self._states and self._recorded and not self._difference:
+            self._compare(self._states.popleft(), self._recorded[0])
+
+    def _compare(self, state: ArmFrame, frame: Frame) -> None:
+        device, before_ns = self._stream.device, frame.stamp.arrived_ns - state.stamp.arrived_ns
+        if before_ns:  # nobody read the first states
+            missing = f"frame {frame.index} of {device}, before which a frame or a state of the arm is missing"
+            self._difference = missing if self._compared or before_ns < 0 else ""
+            return
+        self._recorded.popleft()
+        self._compared += 1
+        (reading,) = self._own.readings_of([state_of(state)], self._chain)
+        wrong = _other(frame, to_frame("wrench", reading, 0, device, None), OWN)
+        if wrong == OWN[-1] and self._compared > ZERO_READINGS:  # unless its zero was taken here: that is not recorded
+            wrong = _other(frame, to_frame("wrench", self._own.zeroed(reading), 0, device, None), OWN)
+        self._difference = wrong and f"another {wrong} of frame {frame.index} of {device}"
+
+    def result(self) -> DeviceComparison:
+        left_out = self.excused(self._arm.health)
+        if self._recorded and not (left_out or self._difference):
+            left_out = f"{len(self._recorded)} frames, of which no state of the arm was recorded"
+        return replace(super().result(), left_out=left_out)
+
+
+def _other(frame: Frame, again: Frame, names: Sequence[str]) -> str:
+    """The first of these fields that differs, stamp before; empty = none."""
+    late_ns = frame.stamp.late_ns
+    if frame.stamp != (again.stamp if late_ns is None else again.stamp.put_back(late_ns)):
+        return "stamp"
+    return next((name for name in names if not _same(getattr(frame, name), getattr(again, name))), "")
 
 
 def _same(one: object, other: object) -> bool:

@@ -1,17 +1,15 @@
 """Converts each driver's measurements to frames: the only module that uses both."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from deformscope import frames
+from deformscope_drivers.arm import ArmState
 from deformscope_drivers.device import Device
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.interface import AxesReading, DeviceDriver, ForceReading, PadReading, TactileArray
-
-if TYPE_CHECKING:
-    from deformscope_drivers.arm import ArmState
 
 
 def to_frame(kind: frames.Kind, reading: object, index: int, name: str, device: object) -> frames.Frame:
@@ -53,22 +51,28 @@ def _wrench(reading: ForceReading, index: int, name: str, device: object) -> fra
     )
 
 
-def _arm(reading: "ArmState", index: int, name: str, device: object) -> frames.Frame:
-    force_n, torque_nm = np.array(reading.wrench[:3]), np.array(reading.wrench[3:])
-    return frames.ArmFrame(
-        stamp=reading.stamp,
-        index=index,
-        joint_deg=np.array(reading.joints_deg),
-        joint_velocity_deg_s=np.array(reading.rates_deg_s),
-        joint_torque_nm=np.array(reading.torques_nm),
-        position_m=np.array(reading.position_m),
-        rotation_rad=np.array(reading.theta_rad),
-        force_n=force_n,
-        torque_nm=torque_nm,
-        finger=np.array(reading.fingers),
-        queued=reading.fifo_count,
-        device=name,
-    )
+_OF_STATES = {
+    "joint_deg": "joints_deg",
+    "joint_velocity_deg_s": "rates_deg_s",
+    "joint_torque_nm": "torques_nm",
+    "position_m": "position_m",
+    "rotation_rad": "theta_rad",
+    "finger": "fingers",
+}
+"""Fields of an arm's frame, and those of the driver's state that they are."""
+
+
+def _arm(reading: ArmState, index: int, name: str, device: object) -> frames.Frame:
+    values = {ours: np.array(getattr(reading, theirs)) for ours, theirs in _OF_STATES.items()}
+    values |= {"force_n": np.array(reading.wrench[:3]), "torque_nm": np.array(reading.wrench[3:])}
+    return frames.ArmFrame(stamp=reading.stamp, index=index, queued=reading.fifo_count, device=name, **values)
+
+
+def state_of(frame: frames.ArmFrame) -> ArmState:
+    """The driver's state of a frame, which has all but the motors' currents."""
+    values: dict[str, Any] = {theirs: tuple(getattr(frame, ours).tolist()) for ours, theirs in _OF_STATES.items()}
+    wrench = (*frame.force_n.tolist(), *frame.torque_nm.tolist())
+    return ArmState(stamp=frame.stamp, wrench=wrench, fifo_count=frame.queued, **values)
 
 
 def _hand(reading: AxesReading, index: int, name: str, device: object) -> frames.Frame:

@@ -244,10 +244,12 @@ class DeviceDriver:
         """Whether it has a double."""
         return self.double is not None or self.simulated is not None
 
-    def chain(self, config: Any) -> "Chain | None":
-        """The chain of joints of an arm with this configuration; None where a person places it."""
+    def chain(self, config: Any, urdf: Path | None = None) -> "Chain | None":
+        """The joints of an arm with this configuration, which may have its own as `chain`; None where a person places
+        it. urdf: what the arm reported"""
         chains = self.chains()
-        return chains[config.model or next(iter(chains))] if chains else None
+        model = config.model or (urdf.stem if urdf is not None else next(iter(chains), ""))
+        return getattr(config, "chain", None) or chains.get(model)
 
 
 class Drivers(Mapping[str, DeviceDriver]):

@@ -106,7 +106,7 @@ class ArmWrench(Device[Wrench]):
         self.delay_ns = round(1e9 / (2.0 * math.pi * self.config.filter_hz))
         self._arm: Arm[Any] | None = None
         self._states: Subscription[ArmState] | None = None
-        self._recent: deque[FloatArray] = deque(maxlen=ZERO_READINGS)
+        self._recent: deque[FloatArray] = deque(maxlen=ZERO_READINGS + 1)
         self._begin()
 
     def attach(self, arm: Arm[Any]) -> None:
@@ -115,14 +115,20 @@ class ArmWrench(Device[Wrench]):
         self.config = dataclasses.replace(self.config, rate_hz=arm.state_hz)
 
     def zero(self) -> None:
-        """Take the mean of the last ZERO_READINGS for zero. Raises Stale where none come."""
+        """Take the mean of the last ZERO_READINGS for zero, from the next on. Raises Stale where none come."""
         while len(self._recent) < ZERO_READINGS:
             self.next(1.0)
-        self._zero_n = self._zero_n + np.mean(self._recent, axis=0)
-        self._smooth_n = np.full(3, np.nan)
+        self._zeroing = True
+
+    def zeroed(self, reading: Wrench) -> Wrench:
+        """The newest reading, with the mean of those before it for zero."""
+        self._zeroing, self._zero_n = False, np.mean(list(self._recent)[:-1], axis=0)
+        self._smooth_n = self._recent[-1] - self._zero_n
+        return dataclasses.replace(reading, force_n=self._smooth_n[None])
 
     def _begin(self) -> None:
         self._recent.clear()
+        self._zeroing = False
         self._zero_n, self._smooth_n = np.zeros(3), np.full(3, np.nan)
         self._way, self._joints_deg = np.zeros(len(self.config.middle_deg)), np.full(1, np.nan)
 
@@ -154,7 +160,11 @@ class ArmWrench(Device[Wrench]):
             if self._states.ended:
                 raise EndOfReadings("the arm was closed")
             return []
-        forces_n, singular = reported_n(states, self._arm.chain)
+        return self.readings_of(states, self._arm.chain)
+
+    def readings_of(self, states: Sequence[ArmState], chain: Chain) -> list[Wrench]:
+        """The readings of the next states of the arm (n)."""
+        forces_n, singular = reported_n(states, chain)
         return [self._reading(*one) for one in zip(states, forces_n, singular, strict=True)]
 
     def _reading(self, state: ArmState, reported: FloatArray, singular: float) -> Wrench:
@@ -166,13 +176,14 @@ class ArmWrench(Device[Wrench]):
             self._way = way_terms(self._way, np.nan_to_num(joints_deg - self._joints_deg))
             self._joints_deg = joints_deg
             force_n = force_n - self._way @ np.array(config.friction_n)
-        force_n = np.asarray(-state.T_base_end_effector[:3, :3].T @ force_n) - self._zero_n
-        self._recent.append(force_n)
+        self._recent.append(np.asarray(-state.T_base_end_effector[:3, :3].T @ force_n))
+        force_n = self._recent[-1] - self._zero_n
         before_n = force_n if np.isnan(self._smooth_n).any() else self._smooth_n
         self._smooth_n = before_n + low_pass_share(config.filter_hz, config.rate_hz or 100.0) * (force_n - before_n)
         usable = singular >= config.least_singular and bool(np.any(reported))
         counts = tuple(round(1e3 * one) if math.isfinite(one) else 0 for one in reported.tolist())
-        return Wrench(state.stamp, (counts,), self._smooth_n[None], usable=usable)
+        reading = Wrench(state.stamp, (counts,), self._smooth_n[None], usable=usable)
+        return self.zeroed(reading) if self._zeroing else reading
 
 
 DRIVER = DeviceDriver("wrench", ArmWrenchConfig, ArmWrench)
