@@ -41,6 +41,7 @@ CHAINS: dict[Part, tuple[str, ...]] = {
         f"replay r.rrd {QUIET}",
         "export r.rrd --to mcap --out mcap",
         "export r.rrd --to parquet --out parquet",
+        "rosbags-convert --src mcap/r.mcap --dst converted.bag",  # another program's export of the same messages
     ),
     "fit": (f"calibrate beta sample:pair {QUIET}",),
 }
@@ -143,10 +144,13 @@ def run(build: str, line: str, folder: Path) -> Cost:
     paths = os.pathsep.join((build, str(Path(build) / "drivers")))
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     kept = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}  # as a user has it
+    words = shlex.split(line)
+    foreign = Path(sys.executable).with_name(words[0])
+    program = [str(foreign), *words[1:]] if foreign.is_file() else [sys.executable, "-m", "deformscope", *words]
     began_s = time.perf_counter()
     with (folder / "output.txt").open("wb") as output:
         process = subprocess.Popen(
-            [sys.executable, "-m", "deformscope", *shlex.split(line)],
+            program,
             cwd=folder,
             env={**kept, **threads, "PYTHONPATH": paths},
             stdin=subprocess.DEVNULL,
