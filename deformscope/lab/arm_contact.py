@@ -40,7 +40,8 @@ class ArmContact:
     """The tip of a simulated arm in a world that can be touched.
 
     world: the touched world; force_n: (3,) present force on the tip, surface frame [N]; max_force_n: the greatest
-    magnitude of that force so far; finger_n: (3,) additional force of a finger on the tip, surface frame [N]"""
+    magnitude of that force so far; finger_n: (3,) additional force of a finger on the tip, surface frame [N]; aside: (6,) that of a collision on the
+    arm's end, which no sensor at the tip measures, base frame [N, N m]"""
 
     def __init__(
         self,
@@ -59,6 +60,7 @@ class ArmContact:
         self.force_n: FloatArray = np.zeros(3)
         self.max_force_n = 0.0
         self.finger_n: FloatArray = np.zeros(3)
+        self.aside: FloatArray = np.zeros(6)
         self.world, self._arm, self._placement, self._clock = world, arm, placement, clock
         self._compliance_m_n = 1.0 / arm_stiffness_n_m
         self._deflection_m = 0.0
@@ -84,9 +86,9 @@ class ArmContact:
         if np.any(pushed):
             end_m = (self._placement.T_surface_base @ self._arm.T_base_end_effector)[:3, 3]
             lever_m = self._placement.to_base(T[:3, 3]) - self._placement.to_base(end_m)
-            self._arm.push([*pushed, *cross(lever_m, pushed)])
+            self._arm.push(np.concatenate([pushed, cross(lever_m, pushed)]) + self.aside)
         else:
-            self._arm.push(np.zeros(6))
+            self._arm.push(self.aside)
 
     def load(self, time_s: float) -> FloatArray:
         """(3,) force on a force sensor in the tip, in the tip's frame [N]."""

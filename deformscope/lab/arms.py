@@ -69,7 +69,7 @@ def arm_in_lab(
     chain = known.chain(config)
     made = known.in_lab(config, None if chain is None else start_deg(chain, placement, places_m), clock)
     person = SimulatedPerson(made.body, seed) if isinstance(made.body, StandDouble) else None
-    return PlacedArm(made.arm, made.body, made.wire, person)
+    return PlacedArm(made.arm, made.body, made.wire, made.faults, person)
 
 
 def start_deg(chain: Chain, placement: Placement, places_m: Sequence[FloatArray]) -> FloatArray:

@@ -11,6 +11,8 @@ import numpy as np
 from deformscope.errors import InputError
 from deformscope.lab.touch_lab import TouchLab
 from deformscope.robot.touch import Phase
+from deformscope_drivers.jaco import JacoDouble
+from deformscope_drivers.optoforce import Optoforce
 
 
 class Injected(StrEnum):
@@ -52,6 +54,8 @@ CAMERA_WITHIN_S = 0.3
 def inject(lab: TouchLab, injected: Injected, random: np.random.Generator) -> None:
     """Inject the fault now. random: draws the fault's size, if it has one."""
     assert lab.camera is not None
+    if strike := lab.arm_faults.get(injected.word):
+        return strike()
     match injected:
         case Injected.FORCE_SILENT:
             lab.sensor_double.silent = True
@@ -92,12 +96,27 @@ def inject(lab: TouchLab, injected: Injected, random: np.random.Generator) -> No
 
 
 def _collide(lab: TouchLab, random: np.random.Generator) -> None:
-    """A push across elbow, forearm or wrist, so that the most loaded joint has 6 to 20 Nm."""
-    double = lab.arm_double
-    links, link = double.T_base_links, int(random.integers(1, 4))
+    """A push across elbow, forearm or wrist, without a Jaco across the arm's end, so that the most loaded joint has 6
+    to 20 Nm."""
+    links, double = lab.body.T_base_links, lab.body
+    link = int(random.integers(1, 4)) if isinstance(double, JacoDouble) else len(links) - 2
     levers = np.cross(links[: link + 1, :3, 2], links[link + 1, :3, 3] - links[: link + 1, :3, 3])
     direction = random.normal(size=3)
-    double.push_link(link, direction * random.uniform(6.0, 20.0) / np.abs(levers @ direction).max())
+    force_n = direction * random.uniform(6.0, 20.0) / np.abs(levers @ direction).max()
+    if isinstance(double, JacoDouble):
+        double.push_link(link, force_n)
+    else:
+        lab.contact.aside = np.concatenate([force_n, np.zeros(3)])
+
+
+def _possible(lab: TouchLab) -> list[Injected]:
+    """The faults of a laboratory: of its arm, of its camera, and of its force sensor where it has one."""
+    force = FORCE if isinstance(lab.force, Optoforce) else ()
+    return [
+        one
+        for one in (*force, *ARM, *CAMERA)
+        if one not in ARM[:5] or isinstance(lab.body, JacoDouble) or one.word in lab.arm_faults
+    ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,8 +148,9 @@ class FaultsToCome:
 
     def __init__(self, lab: TouchLab, faults: Sequence[FaultAt], seed: int) -> None:
         self._lab = lab
-        if any(fault.injected in ARM for fault in faults):
-            lab.arm_double  # noqa: B018
+        can = _possible(lab)
+        if others := [fault.injected.word for fault in faults if fault.injected not in can]:
+            raise InputError(f"faults of these devices: {', '.join(one.word for one in can)}", ", ".join(others))
         self.struck: list[tuple[FaultAt, int]] = []
         self._waiting: list[tuple[FaultAt, Phase, int, np.random.Generator]] = []
         for number, fault in enumerate(faults):

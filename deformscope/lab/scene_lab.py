@@ -300,6 +300,7 @@ class SceneLab:
         arm's own force in place of the force sensor, and its deviations"""
         self._robot, self._described = robot, described
         self._driver, self._own_wrench = arm or "jaco", own_wrench
+        arm = "" if arm == "jaco" else arm
         low_m, high_m = AHEAD_BOX_M if arm else (BOX_LOW_M, BOX_HIGH_M)
         self._workspace = Workspace(low_m=low_m, high_m=high_m, travel_speed_m_s=travel_speed_m_s)
         self.drawn = (errors or LabErrors.none()).draw([seed, scene.seed])

@@ -46,7 +46,7 @@ class TouchLab:
 
     arm, force, camera: the real drivers' devices, which `open` opens; body: body of the simulated arm; contact: its
     tip in the world; on_cycle: called once in each of the arm's cycles; call_s: how long a call to the arm takes;
-    arm_late_s: time between two runs of the arm's driver, long on a busy host"""
+    arm_late_s: time between two runs of the arm's driver, long on a busy host; arm_faults: as in `ArmInLab`"""
 
     def __init__(
         self,
@@ -89,7 +89,7 @@ class TouchLab:
             self._jaco[1].waits = self._call
             config = arm_config if arm_config is not None else JacoConfig(state_hz=100.0)
             arm = ArmInLab(Jaco(config, self.functions, clock=self.clock), double)
-        self.arm, self.body = arm.arm, arm.body
+        self.arm, self.body, self.arm_faults = arm.arm, arm.body, arm.faults
         self.contact = ArmContact(
             world, self.body, self.placement, self.clock, arm_stiffness_n_m=arm_stiffness_n_m, goes_on=goes_on
         )
@@ -180,7 +180,7 @@ class TouchLab:
                 self.contact.feel()
             if arm_waits and self.clock() >= self._arm_ns and self.arm.is_open:
                 every_ns = POLL_NS if self._jaco is None else ARM_CYCLE_NS
-                late_ns = 0 if self._jaco is None else round(self.arm_late_s * 1e9)
+                late_ns = round(self.arm_late_s * 1e9)
                 self._arm_ns = max((self.clock() // every_ns + 1) * every_ns, self.clock() + late_ns)
                 _poll(self.arm)
             for device in (self.force, self.camera):

@@ -142,6 +142,8 @@ def explore_on(
             raise ending.error
     for fault in to_come.waiting if to_come is not None else ():
         say(f"--fault {fault.injected.word}@{fault.touch} was not injected: its moment did not occur")
+    for fault, _ in to_come.struck if to_come is not None and found.stop is None else ():
+        say(f"--fault {fault.injected.word}@{fault.touch} was injected, and stopped nothing")
     if found.stop is not None and found.stop.kind == DRY_RUN and not asked.is_set():
         say(f"dry run: {found.stop.reason}; the arm is at rest. Without --dry-run it touches.")
         return explored

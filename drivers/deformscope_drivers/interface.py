@@ -148,11 +148,13 @@ class ArmBody(Protocol):
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmInLab:
     """A simulated arm among other simulated things. arm: the driver's device, not opened; wire: connection of device
-    and double, entered before the arm is opened; None = no thread or process runs"""
+    and double, entered before the arm is opened; None = no thread or process runs; faults: what can go wrong with it on a
+    simulated clock, by kind: arm-cable, arm-silent, arm-invalid, arm-turns, arm-frozen"""
 
     arm: "Arm[Any]"
     body: ArmBody
     wire: AbstractContextManager[Any] | None = None
+    faults: Mapping[str, Callable[[], None]] = dataclasses.field(default_factory=dict)
 
 
 # A package's drivers --------------------------------------------------------------------------------------------------

@@ -220,16 +220,62 @@ def test_an_arm_without_joint_torques_wants_calibrate_force(
     assert "force sensor: finger" not in said  # first things first
 
 
-@pytest.mark.slow
-def test_every_arm_of_the_laboratory_finds_the_same_foam(tmp_path: Path, capsys: Capture, monkeypatch: Patch) -> None:
-    """A stranger's arm too: Universal Robots' package is known by its entry point alone."""
-    faulthandler.cancel_dump_traceback_later()
-    use_quick_scene(monkeypatch)
+def know_ur(monkeypatch: Patch) -> None:
+    """A stranger's arm: Universal Robots' package is known by its entry point alone."""
     monkeypatch.syspath_prepend(str(ROOT / "drivers" / "packages" / "ur"))
     entry = importlib.metadata.EntryPoint("ur", "deformscope_ur:DRIVER", GROUP)
     monkeypatch.setattr(DRIVERS, "_entries", {**DRIVERS._found(), "ur": entry})
+
+
+@pytest.mark.parametrize(
+    ("arm", "fault", "kind"),
+    [
+        ("ur", "arm-turns", "arm takes no commands"),
+        ("kuka", "arm-frozen", "arm frozen"),
+        ("jaco", "arm-silent", "arm silent"),
+        slow("kuka", "arm-cable", "link lost"),
+        slow("kuka", "arm-silent", "arm silent"),
+        slow("kuka", "arm-late", "arm silent"),
+        slow("ur", "arm-cable", "link lost"),
+        slow("ur", "arm-silent", "arm silent"),
+        slow("ur", "arm-late", "arm silent"),
+        slow("ur", "arm-frozen", "arm frozen"),
+        slow("ur", "arm-invalid", "arm's pose not a number"),
+        slow("ur", "force-silent", "force sensor silent"),
+        slow("ur", "camera-frozen", "depth camera frozen"),
+    ],
+)
+def test_a_fault_of_any_arm_stops_it(
+    arm: str, fault: str, kind: str, tmp_path: Path, capsys: Capture, monkeypatch: Patch
+) -> None:
+    use_quick_scene(monkeypatch)
+    know_ur(monkeypatch)
+    found = tmp_path / "found.json"
+    given = ["explore", "lab:two-60-150", "--clean", "--touches", "1", "--beta-model", "none", "--viewer", "none"]
+    assert main([*given, "--arm", arm, "--fault", f"{fault}@1", "--json", str(found)]) == 2
+    assert kind in capsys.readouterr().err
+    stopped = json.loads(found.read_text())
+    assert stopped["fault"]["kind"] == kind
+    # a rate three times as fast is seen from the first motion on
+    assert 0.0 < stopped["fault"]["noticed_after_s"] < (2.0 if fault == "arm-turns" else 0.2)
+    assert stopped["max_force_n"] < 8.0
+
+
+def test_a_fault_that_stops_nothing_is_said(tmp_path: Path, capsys: Capture, monkeypatch: Patch) -> None:
+    """Motor currents show a collision only some time after the motion has changed; here it comes earlier."""
+    use_quick_scene(monkeypatch)
+    given = ["explore", "lab:two-60-150", "--clean", "--touches", "1", "--beta-model", "none", "--viewer", "none"]
+    assert main([*given, "--arm", "kuka", "--fault", "collision@1", "--json", str(tmp_path / "found.json")]) == 0
+    assert "--fault collision@1 was injected, and stopped nothing" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_every_arm_of_the_laboratory_finds_the_same_foam(tmp_path: Path, capsys: Capture, monkeypatch: Patch) -> None:
+    faulthandler.cancel_dump_traceback_later()
+    use_quick_scene(monkeypatch)
+    know_ur(monkeypatch)
     made: dict[str, Any] = {}
-    for arm in ("", "kuka", "ur"):
+    for arm in ("", "jaco", "kuka", "ur"):
         found = tmp_path / f"{arm}.json"
         given = ["explore", "lab:two-60-150", "--clean", "--touches", "2", "--beta-model", "none", "--viewer", "none"]
         assert main([*given, *(["--arm", arm] if arm else []), "--json", str(found)]) == 0, capsys.readouterr().err
@@ -248,7 +294,7 @@ def test_every_arm_of_the_laboratory_finds_the_same_foam(tmp_path: Path, capsys:
     [
         (["--arm", "franka"], "--arm jaco, kuka"),
         (["--arm", "placed"], "--arm jaco, kuka"),
-        (["--arm", "kuka", "--fault", "arm-frozen@1"], "the Jaco of the laboratory"),
+        (["--arm", "kuka", "--fault", "arm-turns@1"], "arm-cable, arm-silent, arm-frozen, arm-late, collision"),
         (["--arm", "kuka", "--robot", "gripper"], "without --robot"),
     ],
 )

@@ -54,7 +54,8 @@ FIRST_IPOC = 4_208_163_634
 
 class KukaDouble:
     """Attributes that a simulation reads: missed: answers in a row that did not come; ended: why RSI ended, empty while
-    it runs; corrections: answers that were taken; and sets: sends_currents: those of its motors (DEF_MACur)"""
+    it runs; corrections: answers that were taken; and sets: sends_currents: those of its motors (DEF_MACur); running: it
+    sends at all; frozen: it reports the angles of before, whatever its axes do"""
 
     def __init__(
         self,
@@ -98,7 +99,7 @@ class KukaDouble:
         self._next_ns: int | None = None  # its program is started as somebody first listens
         self._waiting: deque[bytes] = deque(maxlen=WAITING)
         self._lock = threading.Lock()
-        self.sends_currents = False
+        self.sends_currents = self.frozen = False
         self._reported_deg, self._wrench = self._start_deg, np.zeros(6)
         self._random = np.random.default_rng(0xCA)
 
@@ -219,7 +220,8 @@ class KukaDouble:
         pose = self.chain.forward(self._joints_deg)[-1]
         place_mm = 1e3 * (pose[:3, 3] + self._offset_m * pose[:3, 2])
         c, b, a = -np.degrees(euler_xyz_from_rotation(pose[:3, :3].T))  # Rz(A) Ry(B) Rx(C)
-        joints_deg, currents = self._joints_deg, tuple[float, ...]()
+        joints_deg = self._reported_deg if self.frozen else self._joints_deg
+        currents = tuple[float, ...]()
         if self.sends_currents:
             rates_deg_s = (joints_deg - self._reported_deg) / (1e-9 * self._cycle_ns)
             currents = tuple(motor_currents(self.chain, joints_deg, rates_deg_s, self._wrench, self._random))

@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 from deformscope_drivers.clock import Clock
@@ -28,7 +29,10 @@ def _in_lab(config: KukaConfig, start_deg: FloatArray | None, clock: Clock) -> A
     double = KukaDouble(config.model, start_deg=start_deg, cycle_s=config.cycle_s, again_s=0.5)
     double.sends_currents = True
     if isinstance(clock, SimulatedClock):
-        return ArmInLab(Kuka(config, MemoryTransport(double, clock, "simulated KUKA"), clock=clock), double)
+        way = MemoryTransport(double, clock, "simulated KUKA")
+        silent, frozen = partial(setattr, double, "running", False), partial(setattr, double, "frozen", True)
+        faults = {"arm-cable": way.unplug, "arm-silent": silent, "arm-frozen": frozen}
+        return ArmInLab(Kuka(config, way, clock=clock), double, faults=faults)
     port = free_port()
     here = dataclasses.replace(config, address=LOOPBACK, port=port, controller="")
     return ArmInLab(open_kuka(here), double, UdpWire(double, port))

@@ -1,7 +1,12 @@
 """Universal Robots' arms, CB3 and e-Series, through RTDE: `driver = "ur"`."""
 
 import dataclasses
+import math
+from collections.abc import Callable
+from functools import partial
 from typing import Any
+
+import numpy as np
 
 from deformscope_drivers.clock import Clock
 from deformscope_drivers.interface import ArmInLab, DeviceDriver, FloatArray, Redecoder
@@ -15,12 +20,27 @@ from deformscope_ur.device import Ur as Ur
 from deformscope_ur.double import UrDouble as UrDouble
 from deformscope_ur.rtde import Decoder, Kind, Recipe
 
+GAIN = 3.0
+"""Factor on the commanded rates of an arm that turns on its own."""
+
 
 def _in_lab(config: UrConfig, start_deg: FloatArray | None, clock: Clock) -> ArmInLab:
     double = UrDouble(config, start_deg=start_deg)
     if isinstance(clock, SimulatedClock):
-        ways = lambda name: MemoryTransport(double.connection(name), clock, name)  # noqa: E731
-        return ArmInLab(Ur(config, ways, clock=clock), double)
+        made: list[MemoryTransport] = []
+
+        def ways(name: str) -> MemoryTransport:
+            made.append(MemoryTransport(double.connection(name), clock, name))
+            return made[-1]
+
+        faults: dict[str, Callable[[], None]] = {
+            "arm-cable": lambda: made[0].unplug(),
+            "arm-silent": partial(setattr, double, "silent", True),
+            "arm-invalid": lambda: double.report(np.full(6, math.nan)),
+            "arm-turns": partial(setattr, double, "gain", GAIN),
+            "arm-frozen": lambda: double.report(double.joints_deg),
+        }
+        return ArmInLab(Ur(config, ways, clock=clock), double, faults=faults)
     wire = PortsWire(double)
     return ArmInLab(open_ur(dataclasses.replace(config, port=wire.bind())), double, wire)
 

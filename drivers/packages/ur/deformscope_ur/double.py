@@ -131,6 +131,11 @@ class UrDouble:
         """A push changes currents and the estimated force. wrench: (6,) on the flange, in the base frame [N, Nm]"""
         self._wrench = np.array(wrench, dtype=float)
 
+    def report(self, joints_deg: npt.ArrayLike) -> None:
+        """From now on report these angles (6,) [deg], whatever the joints do."""
+        held_rad = np.radians(joints_deg)
+        self._outputs["actual_q"] = lambda: held_rad
+
     def protective_stop(self) -> None:
         """Stop it as after a collision."""
         self.safety_bits, self._stopped_ns = rtde.PROTECTIVE | 1 << 10, self.next_ns(0)
