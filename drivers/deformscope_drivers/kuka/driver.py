@@ -2,7 +2,7 @@
 
 import contextlib
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
@@ -30,8 +30,11 @@ def _in_lab(config: KukaConfig, start_deg: FloatArray | None, clock: Clock) -> A
     double.sends_currents = True
     if isinstance(clock, SimulatedClock):
         way = MemoryTransport(double, clock, "simulated KUKA")
-        silent, frozen = partial(setattr, double, "running", False), partial(setattr, double, "frozen", True)
-        faults = {"arm-cable": way.unplug, "arm-silent": silent, "arm-frozen": frozen}
+        faults: dict[str, Callable[[], None]] = {
+            "arm-cable": way.unplug,
+            "arm-silent": partial(setattr, double, "running", False),
+            "arm-frozen": partial(setattr, double, "frozen", True),
+        }
         return ArmInLab(Kuka(config, way, clock=clock), double, faults=faults)
     port = free_port()
     here = dataclasses.replace(config, address=LOOPBACK, port=port, controller="")
