@@ -40,8 +40,8 @@ class ArmContact:
     """The tip of a simulated arm in a world that can be touched.
 
     world: the touched world; force_n: (3,) present force on the tip, surface frame [N]; max_force_n: the greatest
-    magnitude of that force so far; finger_n: (3,) additional force of a finger on the tip, surface frame [N]; aside: (6,) that of a collision on the
-    arm's end, which no sensor at the tip measures, base frame [N, N m]"""
+    magnitude of that force so far; finger_n: (3,) additional force of a finger on the tip, surface frame [N]; aside:
+    (6,) of a collision on the arm's end, base frame [N, N m], which a sensor in the tip does not measure"""
 
     def __init__(
         self,

@@ -54,9 +54,9 @@ CAMERA_WITHIN_S = 0.3
 def inject(lab: TouchLab, injected: Injected, random: np.random.Generator) -> None:
     """Inject the fault now. random: draws the fault's size, if it has one."""
     assert lab.camera is not None
-    if strike := lab.arm_faults.get(injected.word):
-        return strike()
     match injected:
+        case _ if injected.word in lab.arm_faults:
+            lab.arm_faults[injected.word]()
         case Injected.FORCE_SILENT:
             lab.sensor_double.silent = True
         case Injected.FORCE_CABLE:

@@ -148,8 +148,8 @@ class ArmBody(Protocol):
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmInLab:
     """A simulated arm among other simulated things. arm: the driver's device, not opened; wire: connection of device
-    and double, entered before the arm is opened; None = no thread or process runs; faults: what can go wrong with it on a
-    simulated clock, by kind: arm-cable, arm-silent, arm-invalid, arm-turns, arm-frozen"""
+    and double, entered before the arm is opened; None = no thread or process runs; faults: what can go wrong with it on
+    a simulated clock, by kind: arm-cable, arm-silent, arm-invalid, arm-turns, arm-frozen"""
 
     arm: "Arm[Any]"
     body: ArmBody

@@ -54,8 +54,8 @@ FIRST_IPOC = 4_208_163_634
 
 class KukaDouble:
     """Attributes that a simulation reads: missed: answers in a row that did not come; ended: why RSI ended, empty while
-    it runs; corrections: answers that were taken; and sets: sends_currents: those of its motors (DEF_MACur); running: it
-    sends at all; frozen: it reports the angles of before, whatever its axes do"""
+    it runs; corrections: answers that were taken; and sets: sends_currents: those of its motors (DEF_MACur); running:
+    it sends at all; frozen: it reports the angles of before, whatever its axes do"""
 
     def __init__(
         self,
