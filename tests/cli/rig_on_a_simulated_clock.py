@@ -94,7 +94,7 @@ class SimulatedTable:
 
     @property
     def body(self) -> ArmBody:
-        return self.lab.body
+        return self._arm.body
 
     def push_tip(self, force_n: npt.NDArray[np.floating]) -> None:
         self.lab.contact.finger_n = np.asarray(force_n, np.float64)
