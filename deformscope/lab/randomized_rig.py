@@ -228,7 +228,7 @@ class SimulatedHand:
         for attempt in range(200):
             wide = 0.5 if attempt < 20 else np.pi  # where the arm cannot tilt it that way, another
             way = np.radians(60.0 * number) + self._random.uniform(-wide, wide)
-            tilt = np.radians(self._random.uniform(18.0, 32.0))
+            tilt = np.radians(self._random.uniform(18.0, 45.0))
             spin = self._random.uniform(-np.pi, np.pi)
             turn = Rotation.from_rotvec(tilt * np.array([np.cos(way), np.sin(way), 0.0])) * Rotation.from_euler(
                 "z", spin

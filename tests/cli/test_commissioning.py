@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from deformscope.cli import main
+from deformscope.lab.live_lab import LiveLab
 from deformscope.lab.randomized_rig import RandomizedRig
 from deformscope.rig.rig_edit import Values, edited
 from deformscope.rig.rig_file import load_rig
@@ -65,6 +66,20 @@ def truth_of(randomized: RandomizedRig) -> Values:
         "surface": {"T_arm_surface": truth.T_base_surface.tolist()},
         "camera": {"T_arm_camera": (truth.T_base_surface @ randomized.T_surface_camera).tolist()},
     }
+
+
+def test_the_doubles_of_a_new_rig_show_the_board_tilted_enough_for_the_lens(
+    tmp_path: Path, capsys: Capture, monkeypatch: Patch
+) -> None:
+    """Where the arm reaches, the board leans one way alone: it has to lean more and less."""
+    rig = tmp_path / "rig.toml"
+    assert main(["rig", "new", str(rig), "--doubles"]) == 0
+    table, _ = table_of(RigParts.of(load_rig(rig)))
+    assert isinstance(table, LiveLab)
+    use_a_simulated_clock(monkeypatch)
+    assert main(["calibrate", "camera", str(rig)]) == 0, capsys.readouterr().err
+    lens = table.view.intrinsics
+    assert load_rig(rig).camera.focal_px == pytest.approx((lens.fx_px, lens.fy_px), rel=0.03)
 
 
 @pytest.mark.slow
