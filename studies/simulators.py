@@ -2,9 +2,13 @@
 
 python -m studies simulators --python with-mujoco/bin/python --surprises
 python -m studies simulators --python with-mujoco/bin/python --cases 1 --vertices 750 1500 3000 --timestep-s 0.005 0.01
+python -m studies simulators --python with-mujoco/bin/python --two-materials --vertices 3000
 
 A linear slab of 30 mm, glued to the ground, is pressed by a flat tip of 30 mm to .5, 1 and 1.5 mm. Two of these pokes
 are fitted, the third is the test. One more presses elsewhere, where the mesh lies otherwise under the tip.
+
+A slab of two materials is pressed at six places, three on each. It is simulated with the regions of its map, and with
+one material in their place; of each region a poke is the test.
 """
 
 import json
@@ -12,9 +16,9 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from tyro.conf import arg
@@ -25,8 +29,14 @@ from deformscope.config import flags
 from deformscope.config.simulate import Target
 from deformscope.errors import InputError
 from deformscope.files.model_file import save_model
-from deformscope.lab.slab import RigidTip, Slab, press
+from deformscope.lab.elasticity import ElasticBox
+from deformscope.lab.slab import GROWTH, RigidTip, Slab, downward, press
+from deformscope.log.layout import EXPLORATION, ExplorationLayout
 from deformscope.pictures.report import Table
+from deformscope.recording.items import read_results
+from deformscope.recording.recorder import Recorder
+from deformscope.session import Moment, Step
+from deformscope.stages.map.exploration import MapEstimate, SurfaceEstimate, TouchEstimate
 from deformscope.stages.msm.poke import Law, Tip
 from deformscope.stages.poke.fitted import FittedModel
 from deformscope.terminal import say
@@ -43,6 +53,12 @@ DEPTHS = (0.0005, 0.001, 0.0015)
 FINEST = 0.003
 """Elements at the tip [m]: with finer ones the force falls by .7 %, and the surface moves by .2 % of the depth."""
 HERE, ELSEWHERE = (0.07, 0.07), (0.073, 0.066)
+TWO, EDGE, WIDE = (20e3, 60e3), 0.10, 0.20
+"""Young's moduli of the two materials [Pa], where the first ends along x, and the side of their slab [m]."""
+PRESSED = ((0.080, 0.100), (0.075, 0.103), (0.070, 0.097), (0.120, 0.100), (0.125, 0.097), (0.130, 0.103))
+"""Places of the pokes on it [m]."""
+EXAMPLE = Path(__file__).parents[1] / "recordings" / "explore.rrd"
+"""A recorded exploration, whose items the made one has but for places, forces, dents and regions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +134,99 @@ def try_slab(case: SlabCase) -> SlabOutcome:
 
 
 @dataclass(frozen=True, slots=True)
+class RegionsCase(SlabCase):
+    """The slab of two materials. regions: of the map that is simulated, 1 or 2"""
+
+    regions: int = 2
+
+
+def two_materials(at: tuple[float, float], fine: float = FINEST) -> ElasticBox:
+    """The slab with elements of this size [m] at a tip, and a plane of them where the materials meet."""
+    axes = []
+    for middle in at:
+        tip = HALF * np.sin(0.5 * np.pi * np.linspace(-1.0, 1.0, 2 * round(HALF / fine) + 1))  # closer at its edges
+        beside = HALF + (tip[-1] - tip[-2]) * np.cumsum(GROWTH ** np.arange(12))
+        beside = np.append(beside[beside < 0.08], 0.09)
+        axes.append(middle + np.concatenate([-beside[::-1], tip, beside]))
+    (axis := axes[0])[np.abs(axis - EDGE).argmin()] = EDGE
+    deep = downward(THICKNESS, 0.7 * fine, GROWTH)
+    x, y = axes
+    return ElasticBox(x, y, deep, young=lambda places: np.where(places[:, 0] < EDGE, *TWO), poisson=0.3)
+
+
+def touch_of(template: TouchEstimate, number: int, fine: float = FINEST) -> TouchEstimate:
+    """A touch of this slab, at one of `PRESSED`: force and surface of finite elements."""
+    at, depth = PRESSED[number - 1], DEPTHS[number % len(DEPTHS)]
+    box = two_materials(at, fine)
+    under = box.plane(2, THICKNESS) & (np.abs(box.nodes[:, :2] - at) <= HALF + box.tolerance).all(axis=1)
+    held = np.zeros(box.nodes.shape, bool)
+    held[box.plane(2, 0.0)], held[under, 2] = True, True
+    found = box.hold(held).solve(np.where(under[:, None], [0.0, 0.0, -depth], 0.0))
+    around = np.linspace(-0.035, 0.035, 29)
+    points = np.stack(np.meshgrid(at[0] + around, at[1] + around, [THICKNESS], indexing="ij"), -1).reshape(-1, 3)
+    sunk = np.linspace(0.0, 1.0, 50)
+    force = -float(found.force[under, 2].sum())
+    return replace(
+        template,
+        number=number,
+        xyz_m=np.array([*at, THICKNESS]),
+        normal=np.array([0.0, 0.0, 1.0]),
+        approach_m=depth * sunk,
+        approach_n=force * sunk,
+        fitted_n=force * sunk,
+        contact_m=0.0,
+        depth_m=depth,
+        peak_force_n=force,
+        observed_m=points + box.sample(found.displacement, points),
+    )
+
+
+def record_regions(path: Path, regions: int) -> None:
+    """The exploration of the slab, whose map has one region or two."""
+    found = [row.item for row in read_results(EXAMPLE, (TouchEstimate, MapEstimate, SurfaceEstimate))]
+    touch, surface, known = (
+        next(one for one in found[::-1] if isinstance(one, kind))
+        for kind in (TouchEstimate, SurfaceEstimate, MapEstimate)
+    )
+    assert isinstance(touch, TouchEstimate)
+    assert isinstance(known, MapEstimate)
+    labels = np.zeros_like(known.labels)
+    labels[:, round(EDGE / known.cell_m) :] = regions - 1
+    each = [0] * regions
+    level, interval = known.level_n_per_mm[each], known.level_interval_n_per_mm[each]
+    known = replace(known, labels=labels, region_count=regions, level_modulus_pa=None, level_n_per_mm=level)
+    known = replace(known, level_rigid=known.level_rigid[each], level_interval_n_per_mm=interval)
+    touches = [touch_of(touch, number) for number in range(1, len(PRESSED) + 1)]
+    with Recorder(path, "none", {}, application=EXPLORATION) as recorder:
+        recorder.start(ExplorationLayout((), (WIDE, WIDE), np.eye(4), truth=False), 0)
+        recorder.write(Step((surface,), moment=Moment(1, cell_m=known.cell_m)))
+        for at, one in enumerate((*touches, known), start=2):
+            recorder.write(Step((one,), moment=Moment(at, 1, at, known.cell_m)))
+
+
+def try_regions(case: SlabCase) -> SlabOutcome:
+    """Simulate the slab of two materials."""
+    assert isinstance(case, RegionsCase)
+    with tempfile.TemporaryDirectory() as name:
+        record = Path(name) / "touched.rrd"
+        record_regions(record, case.regions)
+        found = ds.simulate(
+            record,
+            out=Path(name) / "body",
+            target=case.target,
+            python=case.python,
+            tip=f"flat:{2 * HALF}x{2 * HALF}",
+            thickness_m=THICKNESS,
+            vertices=case.vertices,
+            timestep_s=case.timestep_s,
+            limit_s=case.limit_s,
+        )
+    outcome = SlabOutcome(case, found.to_dict(), float("nan"))
+    say(" | ".join(_regions_row(outcome)))
+    return outcome
+
+
+@dataclass(frozen=True, slots=True)
 class SimulatorsConfig(StudyOptions):
     """Fit a simulator to slabs of finite elements whose modulus is known."""
 
@@ -135,12 +244,24 @@ class SimulatorsConfig(StudyOptions):
     """The interpreter with it; default: this one."""
     limit_s: float = 1800.0
     """Time limit of each fit [s], after which it ends with the best so far."""
+    two_materials: bool = False
+    """A slab of two materials in place of the twelve."""
+    regions: Annotated[tuple[int, ...], arg(metavar="INT...")] = (1, 2)
+    """Regions of its map that are simulated."""
     surprises: bool = False
     """Show too what one would not guess of the simulator."""
 
 
 def trials(options: SimulatorsConfig) -> list[Trials[SlabCase, SlabOutcome]]:
     python = None if options.python is None else str(options.python)
+    if options.two_materials:
+        two = [
+            RegionsCase(TWO[0], 0.3, vertices, step, python, options.target, options.limit_s, regions)
+            for vertices in options.vertices
+            for step in options.timestep_s or (None,)
+            for regions in options.regions
+        ]
+        return [Trials("bodies", try_regions, two)]
     cases = [
         SlabCase(young, poisson, vertices, step, python, options.target, options.limit_s)
         for young, poisson in ([CASES[number - 1] for number in options.only] or CASES[: options.cases])
@@ -150,21 +271,19 @@ def trials(options: SimulatorsConfig) -> list[Trials[SlabCase, SlabOutcome]]:
     return [Trials("slabs", try_slab, cases)]
 
 
+SLABS = (
+    *("E [kPa]", "nu", "vertices", "step [ms]", "E needed [kPa]", "nu fitted", "determined", "force typed in"),
+    *("force fitted", "unseen depth", "elsewhere", "dent of the depth", "off the edge", "ms a step", "s", "converged"),
+)
+REGIONS = (
+    *("materials", "vertices", "E typed in [kPa]", "E needed [kPa]", "nu fitted", "determined", "force typed in"),
+    *("force fitted", "unseen places", "dent there", "off the edge", "s", "converged"),
+)
+
+
 def report(options: SimulatorsConfig, seconds: float, outcomes: Sequence[SlabOutcome]) -> StudyReport:
-    names = (
-        *("E [kPa]", "nu", "vertices", "step [ms]", "E needed [kPa]", "nu fitted", "determined", "force typed in"),
-        *(
-            "force fitted",
-            "unseen depth",
-            "elsewhere",
-            "dent of the depth",
-            "off the edge",
-            "ms a step",
-            "s",
-            "converged",
-        ),
-    )
-    rows = [_row(one) for one in outcomes]
+    names, row = (REGIONS, _regions_row) if options.two_materials else (SLABS, _row)
+    rows = [row(one) for one in outcomes]
     version = outcomes[0].found["version"] if outcomes else ""
     tables = [Table(rows, names, f"{options.target} {version}, {seconds:.0f} s")]
     guesses = surprises(options.python, options.target) if options.surprises else ()
@@ -190,8 +309,6 @@ def _row(one: SlabOutcome) -> tuple[str, ...]:
     assert isinstance(needed, dict)
     here = pokes[:3]
     fitted, unseen = ([one for one in here if one["held_out"] == held] for held in (False, True))
-    determined = found["determined"]
-    assert isinstance(determined, dict)
     return (
         f"{one.case.young / 1e3:g}",
         f"{one.case.poisson:g}",
@@ -199,7 +316,7 @@ def _row(one: SlabOutcome) -> tuple[str, ...]:
         f"{1e3 * float(str(found['timestep_s'])):g}",
         f"{needed['young_pa'] / 1e3:.3g}",
         f"{needed['poisson']:.2f}",
-        " ".join(name for name, known in determined.items() if known) or "none",
+        _determined(found),
         f"{np.mean([one['force_error_before'] for one in here]):+.0%}",
         f"{_rms([one['force_error'] for one in fitted]):.1%}",
         f"{_rms([one['force_error'] for one in unseen]):.1%}" if unseen else "",
@@ -210,6 +327,30 @@ def _row(one: SlabOutcome) -> tuple[str, ...]:
         f"{float(str(found['seconds'])):.0f}",
         "yes" if found["converged"] else "no",
     )
+
+
+def _regions_row(one: SlabOutcome) -> tuple[str, ...]:
+    found: dict[str, Any] = one.found
+    fitted, unseen = ([poke for poke in found["pokes"] if poke["held_out"] == held] for held in (False, True))
+    return (
+        f"{len(found['materials'])}",
+        f"{found['vertices']}",
+        ", ".join(f"{of['measured_young_pa'] / 1e3:.3g}" for of in found["materials"]),
+        ", ".join(f"{of['young_pa'] / 1e3:.3g}" for of in found["materials"]),
+        f"{found['needed']['poisson']:.2f}",
+        _determined(found),
+        f"{_rms([poke['force_error_before'] for poke in unseen]):.1%}",
+        f"{_rms([poke['force_error'] for poke in fitted]):.1%}",
+        f"{_rms([poke['force_error'] for poke in unseen]):.1%}",
+        f"{_rms([poke['dent_error'] for poke in unseen]):.0%}",
+        f"{_rms([poke['dent_error_beyond_edge'] for poke in unseen]):.0%}",
+        f"{found['seconds']:.0f}",
+        "yes" if found["converged"] else "no",
+    )
+
+
+def _determined(found: dict[str, Any]) -> str:
+    return " ".join(name for name, known in found["determined"].items() if known) or "none"
 
 
 def _rms(values: Sequence[float]) -> float:

@@ -1,12 +1,35 @@
 """Slabs of finite elements in MuJoCo."""
 
+import functools
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from deformscope.config.simulate import Target
 from deformscope.errors import InputError
-from studies.simulators import CASES, SimulatorsConfig, SlabCase, SlabOutcome, report, surprises, trials, try_slab
+from deformscope.lab.slab import RigidTip, Slab, press
+from deformscope.recording.items import read_results
+from deformscope.stages.map.exploration import MapEstimate, TouchEstimate
+from studies.simulators import (
+    CASES,
+    EDGE,
+    EXAMPLE,
+    PRESSED,
+    TWO,
+    RegionsCase,
+    SimulatorsConfig,
+    SlabCase,
+    SlabOutcome,
+    record_regions,
+    report,
+    surprises,
+    touch_of,
+    trials,
+    try_slab,
+)
+from tests.cases import Patch
 from tests.cli.test_simulate_command import WITH_TARGETS, has
 
 
@@ -34,6 +57,63 @@ def test_a_line_of_each_slab_and_setting() -> None:
     assert len(table.names) == len(table.rows[0])
     assert table.rows[0][-1] == "no"
     assert table.rows[0][4:13] == ("30", "0.30", "young", "+50%", "3.0%", "1.0%", "+12%", "20%", "10%")
+
+
+def test_two_materials_beside_one() -> None:
+    options = SimulatorsConfig(two_materials=True, vertices=(900,), target="newton")
+    (bodies,) = trials(options)
+    assert [(one.regions, one.vertices, one.target) for one in bodies.cases if isinstance(one, RegionsCase)] == [
+        (1, 900, "newton"),
+        (2, 900, "newton"),
+    ]
+    poke = {"force_error": 0.5, "force_error_before": 0.5, "dent_error": 0.5, "dent_error_beyond_edge": 0.5}
+    unseen = {"force_error": 0.03, "force_error_before": -0.1, "dent_error": 0.06, "dent_error_beyond_edge": 0.05}
+    found = {
+        "version": "1.8.0",
+        "vertices": 880,
+        "needed": {"poisson": 0.31},
+        "materials": [{"measured_young_pa": 2e4, "young_pa": 1.9e4}, {"measured_young_pa": 6e4, "young_pa": 5.8e4}],
+        "determined": {"young": False, "ratio 1": True},
+        "seconds": 60.0,
+        "converged": True,
+        "pokes": [poke | {"held_out": False}, unseen | {"held_out": True}],
+    }
+    (table,) = report(options, 1.0, [SlabOutcome(bodies.cases[1], found, float("nan"))]).tables
+    assert len(table.names) == len(table.rows[0])
+    assert table.rows[0][:6] == ("2", "880", "20, 60", "19, 58", "0.31", "ratio 1")
+    assert table.rows[0][6:] == ("10.0%", "50.0%", "3.0%", "6%", "5%", "60", "yes")
+
+
+def test_a_touch_of_two_materials_is_that_of_a_slab_whose_modulus_changes() -> None:
+    """Elements of 7.5 mm in both: the modulus differs in those that the line crosses in the other."""
+    (template,) = [row.item for row in read_results(EXAMPLE, (TouchEstimate,))][-1:]
+    assert isinstance(template, TouchEstimate)
+    at, coarse = PRESSED[2], 0.0075
+    touch = touch_of(template, 3, coarse)
+    assert touch.xyz_m.tolist() == [*at, 0.03]
+    slab = Slab((0.2, 0.2, 0.03), lambda places: np.where(places[:, 0] < EDGE, *TWO), 0.3)
+    known = press(slab, at, RigidTip((0.015, 0.015)), np.zeros((0, 3)), depth=touch.depth_m, finest=coarse)
+    assert touch.peak_force_n == pytest.approx(known.force, rel=0.02)
+    soft = press(replace(slab, young=TWO[0]), at, RigidTip((0.015, 0.015)), np.zeros((0, 3)), depth=touch.depth_m)
+    assert touch.peak_force_n > soft.force
+    below = np.abs(touch.observed_m[:, :2] - at).max(axis=1) < 0.01
+    np.testing.assert_allclose(touch.observed_m[below, 2], 0.03 - touch.depth_m, atol=1e-9)
+
+
+def test_the_recorded_slab_has_its_regions_and_touches(tmp_path: Path, monkeypatch: Patch) -> None:
+    coarse = functools.partial(touch_of, fine=0.0075)
+    monkeypatch.setattr("studies.simulators.touch_of", coarse)
+    monkeypatch.setattr("studies.simulators.PRESSED", PRESSED[:1])
+    record_regions(tmp_path / "two.rrd", 2)
+    maps, touch = (
+        next(row.item for row in read_results(tmp_path / "two.rrd", (kind,))) for kind in (MapEstimate, TouchEstimate)
+    )
+    assert isinstance(maps, MapEstimate)
+    assert isinstance(touch, TouchEstimate)
+    assert maps.region_count == 2
+    across = (np.arange(maps.labels.shape[1]) + 0.5) * maps.cell_m
+    np.testing.assert_array_equal(maps.labels, np.broadcast_to(across > EDGE, maps.labels.shape))
+    assert touch.xyz_m.tolist() == [*PRESSED[0], 0.03]
 
 
 @pytest.mark.slow
