@@ -195,10 +195,10 @@ def _floats(name: str, given: Sequence[float] | str, between: str) -> tuple[floa
 
 def simulate(
     source: str | Path, *, out: Path | str, progress: Progress | bool | None = None, **options: object
-) -> "SimulationResult":
-    """Write a measured slab as a body of another simulator, and fit that simulator's parameters to the pokes.
+) -> "SimulationResult | FoundResult":
+    """Write a measured slab or block as a body of another simulator, and fit its parameters to what was seen.
 
-    source: a model file of layers, or the recording of an exploration; out: a folder; progress: as in `calibrate_beta`
+    source: a model file of layers, or a recording (exploration, pair); out: a folder; progress: as in `calibrate_beta`
     options: the flags of `deformscope simulate` by their names (`deformscope.config.SimulateConfig`): target, against,
     poke, tip, vertices, python... Raises InputError for what cannot be used, and TypeError for options that it has
     not."""

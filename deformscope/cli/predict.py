@@ -87,7 +87,9 @@ def _simulated(config: PredictConfig, progress: Progress) -> SimulationResult | 
         return None
     with tempfile.TemporaryDirectory() as folder:
         fitted_to, quiet = (config.python, config.against, config.poke), ViewOptions(viewer="none")
-        return simulate(SimulateConfig(config.source, config.target, Path(folder), *fitted_to, output=quiet), progress)
+        asked = SimulateConfig(config.source, config.target, Path(folder), *fitted_to, output=quiet)
+        found = simulate(asked, progress)
+    return found if isinstance(found, SimulationResult) else None  # of pokes it is one
 
 
 def _points(path: Path) -> FloatArray:

@@ -24,7 +24,7 @@ class SimulateConfig(RecordedOptions):
     own parameters until force and dent agree. Pokes that are held out test it."""
 
     source: Annotated[Path, Positional, arg(metavar="MODEL.npz|FILE.rrd"), flags.Reads()]
-    """A model of layers that `deformscope calibrate ... --save` wrote, or the recording of an exploration."""
+    """A model of layers that `deformscope calibrate ... --save` wrote, or the recording of an exploration or a pair."""
     target: Annotated[Target, arg(name="in")]
     """The simulator. It must be installed: pip install mujoco, or newton usd-core
     newton-usd-schemas."""

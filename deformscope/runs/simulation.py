@@ -2,11 +2,12 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.config.simulate import SimulateConfig
@@ -20,13 +21,16 @@ from deformscope.pictures.palette import OBSERVED, TARGET, hexadecimal
 from deformscope.pictures.palette import SIMULATED as MSM
 from deformscope.pictures.report import ColoredBody, ComparedSurfaces, Figure, Findings, Table
 from deformscope.plain import Json, plain
-from deformscope.recording.items import read_results
+from deformscope.recording.items import read_estimates, read_results
 from deformscope.recording.reader import Replay
+from deformscope.runs.pair_calibration import recorded_pairs
 from deformscope.runs.prediction import poke_of
-from deformscope.runs.result import SourceResult, open_recorder
+from deformscope.runs.result import FoundResult, SourceResult, open_recorder, recording_rows, settings_of
 from deformscope.session import Step
 from deformscope.simulators.body_files import write_body, write_meshes
 from deformscope.simulators.target_process import TARGETS, TargetFailed, TargetProcess, target_process
+from deformscope.stages.fit.estimate import Estimate
+from deformscope.stages.fit.model import Observation
 from deformscope.stages.map.exploration import MapEstimate, SurfaceEstimate, TouchEstimate
 from deformscope.stages.msm.poke import Tip
 from deformscope.stages.msm.quiet import quiet_warp
@@ -35,11 +39,11 @@ from deformscope.stages.poke.layers import MeasuredSurface
 from deformscope.stages.poke.poke_fit import SeenPoke, seen_poke
 from deformscope.stages.poke.tip_law import Indenter, TipLaw
 from deformscope.stages.simulate import target_fit
-from deformscope.stages.simulate.slab_mesh import SlabMesh, slab_around
+from deformscope.stages.simulate.slab_mesh import SlabMesh, block_of, slab_around
 from deformscope.terminal import Interruption, Progress, say, until_interrupted
 
-POISSON = 0.3
-"""Poisson's ratio at the start of the fit."""
+POISSON, RATIOS, START_PA = 0.3, (0.0, 0.49), 50e3
+"""Poisson's ratio at the start of a fit; of a block's fit its bounds, and the modulus [Pa]."""
 DEPTHS = (0.4, 0.7, 1.0)
 """Shares of a touch's depth at which its force is compared."""
 SLOWER, STEPS_TRIED, STABLE = 2.0, 5, 0.05
@@ -65,25 +69,14 @@ class PokeAnswer:
     msm_moved: FloatArray | None
 
     def as_json(self) -> Json:
-        seen = self.poke.seen
-        return {
-            "name": self.poke.name,
-            "at_m": seen.at,
-            "tip": seen.tip.shape,
-            "size_m": seen.tip.size,
-            "held_out": self.held_out,
-            "depth_m": self.poke.depth,
-            "force_n": self.poke.force,
-            "target_force_n": self.answer.force,
-            "penetration_m": self.answer.penetration,
-            "force_error": self.after.force_error,
-            "dent_error": self.after.surface_error,
-            "dent_error_beyond_edge": self.beyond_edge,
-            "force_error_before": self.before.force_error,
-            "dent_error_before": self.before.surface_error,
-            "msm_force_error": self.msm and self.msm.force_error,
-            "msm_dent_error": self.msm and self.msm.surface_error,
-        }
+        seen, poke, after, before = self.poke.seen, self.poke, self.after, self.before
+        found: Json = {"name": poke.name, "at_m": seen.at, "tip": seen.tip.shape, "size_m": seen.tip.size}
+        found |= {"held_out": self.held_out, "depth_m": poke.depth, "force_n": poke.force}
+        found |= {"target_force_n": self.answer.force, "penetration_m": self.answer.penetration}
+        found |= {"force_error": after.force_error, "dent_error": after.surface_error}
+        found |= {"dent_error_beyond_edge": self.beyond_edge, "force_error_before": before.force_error}
+        found |= {"dent_error_before": before.surface_error, "msm_force_error": self.msm and self.msm.force_error}
+        return found | {"msm_dent_error": self.msm and self.msm.surface_error}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -262,10 +255,12 @@ class SimulationResult(SourceResult):
         return Figure(png_of(figure, 120), "force over depth, and a cut through the dent")
 
 
-def simulate(config: SimulateConfig, progress: Progress | None = None) -> SimulationResult:
-    """Read the pokes, write the body, press and fit it, and record all of it. Raises InputError."""
+def simulate(config: SimulateConfig, progress: Progress | None = None) -> SimulationResult | FoundResult:
+    """Read the pokes or the pair, write the body, press or hold and fit it, and record all of it. Raises InputError."""
     began = time.monotonic()
     quiet_warp()
+    if config.recorded and (pairs := recorded_pairs(replay := Replay(config.source))):
+        return _simulate_pair(config, [parse_pair(raw, name) for name, raw in pairs], read_estimates(replay))
     model = None if config.recorded else load_model(config.source)
     regions = _Regions(np.zeros((1, 1), np.int64), 1.0, np.ones(1)) if model is not None else _regions(config.source)
     surface, pokes = _of_recording(config) if model is None else _of_model(model, config)
@@ -280,12 +275,13 @@ def simulate(config: SimulateConfig, progress: Progress | None = None) -> Simula
     start = target_fit.TargetParameters(young, poisson, about.contact * young, ratios)
     timestep_s = config.timestep_s or about.timestep_s
     make_folder(config.out)
-    settings = {"command": "simulate", **cast("dict[str, object]", plain(config))}
+    settings = settings_of(config)
     with target_process(config.target, config.python) as target, until_interrupted() as asked:
         if target.version != about.tried:
             say(f"{config.target} {target.version} was not tried with this program: {about.tried} was")
 
-        runs = _Runs(target, config, mesh, timestep_s, began, asked, len(ratios) + 1)
+        body = write_body(config.target, config.out, mesh, start, config.density, timestep_s)
+        runs = _Runs(target, config, body, timestep_s, began, asked)
         first = runs.press(start, pokes, anyway=True)
         free = (True, config.poisson is None, True, *regions.free(fitted))
         cost = sum(one.step_s * one.how.get("steps", 0.0) for one in first) * len(fitted) / len(pokes)
@@ -297,7 +293,7 @@ def simulate(config: SimulateConfig, progress: Progress | None = None) -> Simula
         )
         last = runs.press(found.parameters, pokes, anyway=True)
         stable = runs.stable_step(found.parameters, pokes, last)
-    body = write_body(config.target, config.out, mesh, found.parameters, config.density, timestep_s)
+    write_body(config.target, config.out, mesh, found.parameters, config.density, timestep_s)
     write_meshes(config.out, mesh, last[-1].moved, found.parameters)
     answers = []
     for poke, before, after in zip(pokes, first, last, strict=True):
@@ -329,38 +325,77 @@ def simulate(config: SimulateConfig, progress: Progress | None = None) -> Simula
     return replace(result, recording=recorder.summary())
 
 
-class _Runs:
-    """Runs of the target: the body is written once, and pressed with given parameters."""
+def _simulate_pair(config: SimulateConfig, seen: Sequence[Observation], known: Sequence[Estimate]) -> FoundResult:
+    """A pair's block in MuJoCo, its held particles moved as they were. Poisson's ratio is fitted to the others: without
+    gravity the modulus moves none of them; it is fitted to the force. known: by shape matching"""
+    if len(seen) > 1 or config.target != "mujoco":
+        hint = "--in mujoco: Newton's solver has no force of held vertices"
+        raise InputError("one block's pair for MuJoCo", f"{len(seen)} for {config.target}", hint, config.source)
+    pair, timestep_s = seen[0], config.timestep_s or TARGETS["mujoco"].timestep_s
+    mesh, particle = block_of(pair)
+    moved, free = (pair.deformed - pair.rest)[particle], pair.free_observed[particle]
+    mesh = replace(mesh, held=(held := np.isin(particle, pair.held)))
+    make_folder(config.out)
+    with target_process("mujoco", config.python) as target:
+        found = target_fit.TargetParameters(START_PA, POISSON, START_PA)
+        body = write_body("mujoco", config.out, mesh, found, config.density, timestep_s)
+        asked: Json = {"do": "hold", "asset": str(body.resolve()), "timestep_s": timestep_s}
 
-    def __init__(
-        self,
-        target: TargetProcess,
-        config: SimulateConfig,
-        mesh: SlabMesh,
-        timestep_s: float,
-        began: float,
-        asked: Interruption,
-        materials: int,
-    ) -> None:
-        self._target, self._config, self._began, self._asked = target, config, began, asked
-        self._timestep_s = timestep_s
-        start = target_fit.TargetParameters(1e4, POISSON, 1e4, (1.0,) * (materials - 1))
-        self._body = write_body(config.target, config.out, mesh, start, config.density, timestep_s)
-        self._known: dict[tuple[target_fit.TargetParameters, str], target_fit.TargetPoke] = {}
+        def hold(poisson: float) -> tuple[float, FloatArray, FloatArray]:
+            """Mean distance of free particles from where they were seen [m]; displacements [m], forces [N] of all."""
+            given = {"parameters": {"young": [START_PA], "poisson": poisson}, "by_m": moved[held].tolist()}
+            (answer,) = target.ask(asked | given)
+            went = np.array(answer["moved_m"])
+            return float(np.linalg.norm((went - moved)[free], axis=1).mean()), went, np.array(answer["force_n"])
+
+        poisson = config.poisson
+        if poisson is None:
+            poisson = float(minimize_scalar(lambda one: hold(one)[0], bounds=RATIOS, options={"xatol": 0.005}).x)
+        (off, went, force), *ends = (hold(one) for one in (poisson, *RATIOS))
+    reaction = float(np.linalg.norm(force[np.isin(particle, pair.touched)].sum(axis=0)))
+    young = START_PA * pair.force_n / reaction if pair.force_n else None
+    modulus = "none without a force: positions are the same for every modulus; no scene is written"
+    found = replace(found, young=young or np.nan, poisson=poisson)
+    write_meshes(config.out, mesh, went, found)
+    body.unlink()
+    if young is not None:
+        write_body("mujoco", config.out, mesh, found, config.density, timestep_s)
+        modulus = f"{young / 1e3:.4g} kPa, by {pair.force_n:.3g} N"
+    others = f"with 0: {1e3 * ends[0][0]:.3g} mm, with {RATIOS[1]}: {1e3 * ends[1][0]:.3g} mm"
+    rows = [("modulus needed", modulus), ("Poisson's ratio", f"{poisson:.3g}")]
+    rows += [("distance of free particles", f"{1e3 * off:.3g} mm on average ({others})")]
+    rows += [(f"by MSM, {one.parameter} {one.value:.3g}", f"{1e3 * one.aee_free:.3g} mm") for one in known]
+    rows += [("body", f"{body if young else config.out}, {len(mesh.vertices)} vertices")]
+    apart = np.where(free | held, 1e3 * np.linalg.norm(went - moved, axis=1), np.nan)
+    shown = ColoredBody("mujoco: vertices by their distance from the particles [mm]", mesh.vertices + went, apart)
+    with open_recorder(config.output, settings_of(config), FINDINGS.variant("simulate")) as recorder:
+        recorder.write(Step((Findings((Table(rows),), (), (shown,)),), frame=0))
+    told: Json = {"target": "mujoco", "version": target.version, "needed": {"young_pa": young, "poisson": poisson}}
+    told |= {"distance_m": off, "msm_distance_m": [one.aee_free for one in known], "vertices": len(mesh.vertices)}
+    rows += recording_rows(recorder.summary())
+    return FoundResult(told, (Table(rows, caption=f"mujoco {target.version}"),))
+
+
+@dataclass(frozen=True, slots=True)
+class _Runs:
+    """Runs of the target, which presses the body with given parameters."""
+
+    target: TargetProcess
+    config: SimulateConfig
+    body: Path
+    timestep_s: float
+    began: float
+    asked: Interruption
+    known: dict[tuple[target_fit.TargetParameters, str], target_fit.TargetPoke] = field(default_factory=dict)
 
     def press(
         self, parameters: target_fit.TargetParameters, pokes: Sequence[target_fit.MeasuredPoke], *, anyway: bool = False
     ) -> list[target_fit.TargetPoke]:
         """Raises Stopped where time or a person ended the fit, unless `anyway`; InputError with the target's error."""
-        left = [one for one in pokes if (parameters, one.name) not in self._known]
-        try:
-            for poke, answer in zip(left, self._press(parameters, left, anyway=anyway) if left else [], strict=True):
-                self._known[parameters, poke.name] = answer
-        except TargetFailed as error:
-            target = self._config.target
-            hint = f"a shorter --timestep-s, a longer --limit-s, or {target} {TARGETS[target].tried}"
-            raise InputError("the target to press the body", str(error), hint) from None
-        return [self._known[parameters, one.name] for one in pokes]
+        left = [one for one in pokes if (parameters, one.name) not in self.known]
+        for poke, answer in zip(left, self._press(parameters, left, anyway=anyway) if left else [], strict=True):
+            self.known[parameters, poke.name] = answer
+        return [self.known[parameters, one.name] for one in pokes]
 
     def _press(
         self,
@@ -370,8 +405,8 @@ class _Runs:
         *,
         anyway: bool = False,
     ) -> list[target_fit.TargetPoke]:
-        passed_s, limit_s = time.monotonic() - self._began, self._config.limit_s
-        if not anyway and (self._asked.is_set() or passed_s > limit_s):
+        passed_s, limit_s = time.monotonic() - self.began, self.config.limit_s
+        if not anyway and (self.asked.is_set() or passed_s > limit_s):
             raise target_fit.Stopped
         until = time.monotonic() + max(limit_s, 2.0 * passed_s)  # a target that hangs does not answer
         asked: list[Json] = []
@@ -380,9 +415,9 @@ class _Runs:
             where: Json = {"at_m": one.seen.at[:2], "tip": tip.shape, "size_m": tip.size, "slips": tip.slips}
             asked.append(where | {"depth_m": one.depth})
         given: Json = {"young": parameters.moduli, "poisson": parameters.poisson, "contact": parameters.contact}
-        request: Json = {"do": "press", "asset": self._body.resolve(), "pokes": asked, "parameters": given}
-        request |= {"timestep_s": timestep_s or self._timestep_s}
-        answers = self._target.ask(cast("Json", plain(request)), lambda: time.monotonic() < until)
+        request: Json = {"do": "press", "asset": self.body.resolve(), "pokes": asked, "parameters": given}
+        request |= {"timestep_s": timestep_s or self.timestep_s}
+        answers = self.target.ask(cast("Json", plain(request)), lambda: time.monotonic() < until)
         found = []
         for answer in answers:
             force, inside, rest, moved = (np.array(answer[name]) for name in ANSWERED)
@@ -399,7 +434,7 @@ class _Runs:
     ) -> float | None:
         """The longest time step, doubled again and again, with which the deepest poke's force stays; None = none."""
         at = max(range(len(pokes)), key=lambda number: pokes[number].seen.depth)
-        found, step = None, self._timestep_s
+        found, step = None, self.timestep_s
         try:
             for _ in range(STEPS_TRIED):
                 force = self._press(parameters, [pokes[at]], step)[0].force[-1]

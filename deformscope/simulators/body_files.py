@@ -27,8 +27,8 @@ def write_body(
 
 
 def write_meshes(folder: Path, mesh: SlabMesh, moved: FloatArray, found: TargetParameters) -> None:
-    """`slab.vtu` with modulus, Poisson's ratio and the displacement (n, 3) [m] of the last poke; `slab.obj` of its
-    surface at rest."""
+    """`slab.vtu` with modulus (unless nan), Poisson's ratio, displacement (n, 3) [m] of the last poke; `slab.obj` of
+    its surface at rest."""
     (folder / "slab.vtu").write_text(_vtu(mesh, moved, found), encoding="utf-8")
     lines = [f"v {_words(one)}" for one in mesh.vertices] + [f"f {_words(one + 1)}" for one in mesh.outside()]
     (folder / "slab.obj").write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -44,18 +44,21 @@ def _mjcf(mesh: SlabMesh, found: TargetParameters, density: float, timestep_s: f
     one material: each box of cells of one material is a flex, and neighbours have the nodes between them in common."""
     x, y, z = (0.5 * (np.append(one, 0.0) + np.append(0.0, one)) for one in map(np.diff, mesh.axes))
     mass = (density * x[:, None, None] * y[:, None] * z).ravel()
-    free = mesh.vertices[:, 2] > mesh.axes[2][0]
+    free, kept, gravity = mesh.vertices[:, 2] > mesh.axes[2][0], "", -GRAVITY
+    if mesh.held is not None:
+        free, kept, gravity = ~mesh.held, ' mocap="true"', 0.0
     number = np.arange(len(mesh.vertices)).reshape([len(one) for one in mesh.axes])
     bodies, flexes = [], []
     for one, (place, heavy, moves) in enumerate(zip(mesh.vertices, mass, free, strict=True)):
         inertia = f'<inertial pos="0 0 0" mass="{heavy:.6g}" diaginertia="1e-6 1e-6 1e-6"/>'
         slides = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in ("1 0 0", "0 1 0", "0 0 1"))
-        bodies.append(f'<body name="n{one}" pos="{_words(place)}">{(inertia + slides) * bool(moves)}</body>')
+        inside = f">{inertia}{slides}" if moves else f"{kept}>"
+        bodies.append(f'<body name="n{one}" pos="{_words(place)}"{inside}</body>')
     cell = np.tile(np.arange(mesh.material.size), len(mesh.elements) // mesh.material.size)
     for part, (material, box) in enumerate(mesh.boxes()):
         nodes = number[tuple(slice(side.start, side.stop + 1) for side in box)].ravel()
-        inside = np.isin(cell, np.arange(mesh.material.size).reshape(mesh.cells)[box])
-        elements, size = np.searchsorted(nodes, mesh.elements[inside]), " ".join(f"{s.stop - s.start}" for s in box)
+        within = np.isin(cell, np.arange(mesh.material.size).reshape(mesh.cells)[box])
+        elements, size = np.searchsorted(nodes, mesh.elements[within]), " ".join(f"{s.stop - s.start}" for s in box)
         flexes.append(f"""
     <flex name="material{material}_{part}" dim="3" dof="trilinear" cellcount="{size}" radius="{RADIUS_M:g}"
           rgba="{0.3 + 0.6 * (material % 2):g} .7 .4 1" body="{" ".join(["world"] * len(nodes))}"
@@ -68,7 +71,7 @@ def _mjcf(mesh: SlabMesh, found: TargetParameters, density: float, timestep_s: f
     rows = "\n    ".join(bodies)
     return f"""<mujoco model="slab">
   <!-- The discrete integrator alone is implicit in the elasticity; implicit and implicitfast refuse it. -->
-  <option integrator="discrete" solver="CG" timestep="{timestep_s:g}" gravity="0 0 {-GRAVITY}"/>
+  <option integrator="discrete" solver="CG" timestep="{timestep_s:g}" gravity="0 0 {gravity}"/>
   <worldbody>
     {rows}
   </worldbody>
@@ -138,6 +141,7 @@ def _vtu(mesh: SlabMesh, moved: FloatArray, found: TargetParameters) -> str:
     fields = "".join(
         array(name, "Float64", value)
         for name, value in (("young_pa", moduli[mesh.element_material()]), ("poisson", np.full(count, found.poisson)))
+        if np.isfinite(value).all()
     )
     return (
         '<?xml version="1.0"?>\n<VTKFile type="UnstructuredGrid" version="0.1"><UnstructuredGrid>\n'

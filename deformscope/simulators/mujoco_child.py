@@ -7,6 +7,8 @@
       [{"at_m": [x, y], "tip": "sphere" | "disc" | "flat", "size_m": [...], "slips": true, "depth_m": [...]}]}
       ->  a line for each poke: {"force_n": [...], "penetration_m": [...], "rest_m": [[x, y, z]...], "moved_m": [...],
           "step_s": seconds a step, "how": {"steps"}}
+    {"do": "hold", "asset", "parameters", "timestep_s", "by_m": [[x, y, z] of each mocap node...]}
+      ->  {"moved_m": [[x, y, z]...], "force_n": [[x, y, z]...]} of each node; forces are from outside
 
 or {"error": "one line"}. A tip is a mocap body that sinks into the slab step by step; the force is that of its contacts
 along z, when it no longer changes; `moved_m` are the vertices under the deepest poke less those at rest, which lie as
@@ -31,8 +33,10 @@ BEYOND = 0.5
 The tip is narrower by that on each side."""
 FARTHEST = 5.0
 """A vertex that moves this many depths is thrown out."""
-STILL = 1e-3
-"""Relative change between averaged forces below which the force no longer changes."""
+HEAVY_KG = 1e3
+"""Mass of a node that is moved."""
+STILL, STILL_SHARE = 1e-3, 1e-5
+"""Relative change between averaged forces, and share of the way in a step, below which it stays."""
 
 
 def scene(mujoco: Any, asked: dict[str, Any], poke: dict[str, Any]) -> tuple[Any, Any, float]:
@@ -123,6 +127,34 @@ def press(asked: dict[str, Any]) -> Iterator[dict[str, Any]]:
         }
 
 
+def hold(asked: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """The reply to a request to move the mocap nodes, where the others are still."""
+    import mujoco
+    import numpy as np
+
+    spec, by, moved, held = mujoco.MjSpec.from_file(asked["asset"]), np.array(asked["by_m"]), np.inf, []
+    (spec.flexes[0].young,), spec.flexes[0].poisson = asked["parameters"]["young"], asked["parameters"]["poisson"]
+    spec.option.timestep = asked["timestep_s"]
+    for number, node in enumerate(spec.bodies[1:]):
+        if node.mocap:  # which gives no force: it becomes one that nothing but this moves
+            node.mocap, node.mass, node.explicitinertial, node.inertia = False, HEAVY_KG, True, [1.0] * 3
+            held.append(number)
+            for axis in np.eye(3):
+                node.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    place, speed, force = (one.reshape(-1, 3) for one in (data.qpos, data.qvel, data.qfrc_passive))
+    for number in range(1, RAMP + LONGEST):
+        place[held], speed[held] = min(1.0, number / RAMP) * by, 0.0
+        mujoco.mj_step(model, data)
+        moved, before = place.copy(), moved
+        if number > RAMP and np.abs(moved - before).max() <= STILL_SHARE * np.abs(by).max():
+            break
+    else:
+        raise ArithmeticError(f"the body is not still after {number} steps of {asked['timestep_s']:g} s")
+    yield {"moved_m": moved.tolist(), "force_n": (-force).tolist()}
+
+
 def version(asked: dict[str, Any]) -> Iterator[dict[str, Any]]:
     """The target's version."""
     import mujoco
@@ -137,7 +169,7 @@ def main() -> None:
     for line in sys.stdin:
         asked = json.loads(line)
         try:
-            for reply in {"press": press, "version": version}[asked["do"]](asked):
+            for reply in {"press": press, "hold": hold, "version": version}[asked["do"]](asked):
                 print(json.dumps(reply), file=replies, flush=True)
         except Exception as error:
             said = " ".join(f"{type(error).__name__}: {error}".split())[:400]

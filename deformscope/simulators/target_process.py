@@ -36,7 +36,7 @@ TARGETS = {
 }
 
 
-class TargetFailed(Exception):
+class TargetFailed(InputError):
     """The target's own error, in one line with its version."""
 
 
@@ -69,10 +69,9 @@ class TargetProcess:
         threading.Thread(target=self._read, name=target, daemon=True).start()
         try:
             self.version = str(next(self.ask({"do": "version"}))["version"])
-        except TargetFailed as error:
+        except TargetFailed:
             self.close()
-            hint = f"pip install {TARGETS[target].install} there, or --python"
-            raise InputError(f"{target} in {self._python}", str(error), hint) from None
+            raise
 
     def ask(self, request: dict[str, object], keep_on: Callable[[], bool] = lambda: True) -> Iterator[dict[str, Any]]:
         """The answers to a request, as they come. keep_on: asked while none comes; without it the process is ended.
@@ -111,7 +110,11 @@ class TargetProcess:
                     raise self._failed(self._over) from None
 
     def _failed(self, text: str) -> TargetFailed:
-        return TargetFailed(f"{self.target} {self.version}: {text}" if self.version else text)
+        name, about = f"{self.target} {self.version}", TARGETS[self.target]
+        if not self.version:
+            return TargetFailed(f"{name}in {self._python}", text, f"pip install {about.install} there, or --python")
+        hint = f"a shorter --timestep-s, a longer --limit-s, or {self.target} {about.tried}"
+        return TargetFailed("the target to move the body", f"{name}: {text}", hint)
 
     def close(self) -> None:
         """End the process."""

@@ -10,6 +10,7 @@ import signal
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 HOW = os.environ.get("FAKE_TARGET", "")
 SOFTER = 0.8
@@ -38,6 +39,9 @@ def main() -> None:
         if HOW == "error":
             print(json.dumps({"error": "ValueError: unknown attribute 'dof'"}), flush=True)
         given = asked["parameters"]
+        if asked["do"] == "hold" and not HOW:
+            print(json.dumps(held(asked["asset"], asked["by_m"], given)), flush=True)
+            continue
         for poke in asked["pokes"] if HOW in ("", "slow", "interrupt") else ():
             area = poke["size_m"][0] * poke["size_m"][-1]
             young = given["young"][material_at(asked["asset"], poke["at_m"])]
@@ -57,6 +61,16 @@ def main() -> None:
                 ),
                 flush=True,
             )
+
+
+def held(asset: str, by: list[list[float]], given: dict[str, Any]) -> dict[str, object]:
+    """Free nodes rise by a hundredth of Poisson's ratio in metres; a held one resists with a thousandth of the modulus
+    for each metre of its way."""
+    ways, moved, force = iter(by), [], []
+    for mocap in re.findall(r'<body name="n\d+" pos="[^"]+"( mocap="true")?>', Path(asset).read_text("utf-8")):
+        moved.append(next(ways) if mocap else [0.0, 0.0, 0.01 * given["poisson"]])
+        force.append([1e-3 * given["young"][0] * one for one in moved[-1]] if mocap else [0.0] * 3)
+    return {"moved_m": moved, "force_n": force}
 
 
 def material_at(asset: str, at: list[float]) -> int:

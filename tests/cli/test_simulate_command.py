@@ -15,13 +15,16 @@ import pytest
 from scipy.spatial import cKDTree
 
 import deformscope as ds
+from deformscope.arrays import FloatArray
 from deformscope.cli import main
 from deformscope.files.model_file import load_model
 from deformscope.files.pairs import parse_pair
+from deformscope.lab.elasticity import ElasticBox
 from deformscope.log.layout import EXPLORATION, ExplorationLayout
 from deformscope.plain import Json
 from deformscope.recording.items import read_results
 from deformscope.recording.recorder import Recorder
+from deformscope.runs.simulation import SimulationResult
 from deformscope.session import Moment, Step
 from deformscope.simulators.body_files import write_body
 from deformscope.simulators.target_process import target_process
@@ -136,6 +139,7 @@ def test_the_meshes_for_others_hold_the_body_and_its_fields(folder: Path) -> Non
         held_out=1,
         against=[folder / f"poke{number}.npz" for number in range(3)],
     )
+    assert isinstance(found, SimulationResult)
     assert found.modulus_pa > 0.0
     assert "modulus needed" in str(found)
     piece = ET.parse(folder / "python-body" / "slab.vtu").getroot().find("UnstructuredGrid/Piece")
@@ -170,22 +174,122 @@ def test_a_recording_has_its_own_pokes(folder: Path, capsys: Capture) -> None:
 
 
 @pytest.mark.parametrize("tip", [[], ["--tip", "sphere:0.02"]])
-def test_the_recording_of_a_pair_is_refused_in_one_line(folder: Path, tip: list[str], capsys: Capture) -> None:
-    """Whether of a sheet or of a poke, and before a flag is missed: it has no surface, thickness or depth of a tip."""
+def test_the_recording_of_a_sheet_is_refused_in_one_line(folder: Path, tip: list[str], capsys: Capture) -> None:
+    """Whether in the plane or of a poke of a surface, and before a flag is missed: a layer has no thickness."""
     sheet = np.stack(np.meshgrid(np.linspace(0.0, 0.1, 9), np.linspace(0.0, 0.05, 5)), -1).reshape(-1, 2)
     ends = np.flatnonzero(np.isin(sheet[:, 0], (0.0, 0.1)))
     np.savez(folder / "sheet.npz", rest=sheet, deformed=sheet * (1.05, 1.0), held=ends)
     slab = ["--thickness-m", str(THICKNESS), "--spacing-m", str(SPACING), "--cluster-size", "3"]
-    for pair, kind, flags in (("sheet", "pair", []), ("poke0", "pair-3d", slab)):
+    for pair, flags in (("sheet", []), ("poke0", slab)):
         record = folder / f"{pair}-recorded.rrd"
         fit = ["calibrate", "beta", str(folder / f"{pair}.npz"), *flags, *QUIET, "--record", str(record), "--overwrite"]
         assert main(fit) == 0
         capsys.readouterr()
         assert main(["simulate", str(record), "--in", "mujoco", "--out", str(folder / "refused"), *tip, *QUIET]) == 2
         (line,) = capsys.readouterr().err.splitlines()
-        assert f"got one of kind {kind}: 0 surfaces and 0 touches | try: a model of 3-D pokes" in line
+        assert (
+            "got a sheet, whose force shows modulus times thickness, not each | try: a block's pair; of pokes" in line
+        )
     assert main(["simulate", str(SHIPPED), "--in", "mujoco", "--out", str(folder / "refused"), *QUIET]) == 2
     assert "--tip with a recording" in capsys.readouterr().err
+
+
+def recorded_block(path: Path, rest: FloatArray, deformed: FloatArray, force_n: float | None) -> Path:
+    """The recording of a fit to a block's pair, whose lowest and highest particles are held."""
+    shape = [len(np.unique(rest[:, at].round(6))) for at in range(3)]
+    held = np.flatnonzero(np.isin(rest[:, 2], (rest[:, 2].min(), rest[:, 2].max())))
+    upper = np.flatnonzero(rest[:, 2] == rest[:, 2].max())
+    force = {} if force_n is None else {"force_n": force_n, "contact": upper}
+    arrays = {"rest": rest, "deformed": deformed, "held": held, "shape": np.array(shape), **force}
+    np.savez(path.with_suffix(".npz"), **arrays)  # type: ignore[arg-type]  # numpy's stub
+    record = path.with_suffix(".rrd")
+    fit = ["calibrate", "beta", str(path.with_suffix(".npz")), *QUIET, "--record", str(record), "--overwrite"]
+    assert main(fit) == 0
+    return record
+
+
+def block(shape: tuple[int, int, int] = (4, 3, 5)) -> FloatArray:
+    return np.stack(np.meshgrid(*(0.01 * np.arange(one) for one in shape), indexing="ij"), -1).reshape(-1, 3)
+
+
+@pytest.mark.parametrize("force_n", [3.0, None])
+def test_the_block_of_a_recorded_pair_is_held_as_it_was(
+    folder: Path, force_n: float | None, tmp_path: Path, capsys: Capture
+) -> None:
+    """The stand-in raises free particles by Poisson's ratio, and resists by the modulus: those of the pair are found.
+    Without a force there is no modulus, and no scene."""
+    rest = block()
+    moved = np.zeros_like(rest)
+    upper = rest[:, 2] == rest[:, 2].max()
+    moved[upper] = 0.001, 0.0, 0.002
+    moved[(rest[:, 2] > 0.0) & ~upper, 2] = 0.01 * 0.2
+    record, out = recorded_block(tmp_path / "block", rest, rest + moved, force_n), tmp_path / "out"
+    capsys.readouterr()
+    flags = ["--python", str(folder / "python"), "--out", str(out), *QUIET, "--record", str(tmp_path / "held.rrd")]
+    assert main(["simulate", str(record), "--in", "mujoco", *flags, "--json", "-"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["needed"]["poisson"] == pytest.approx(0.2, abs=0.01)
+    assert told["distance_m"] < 2e-4
+    assert told["msm_distance_m"][0] > 0.0
+    points = np.array(values(tmp_path / "held.rrd", "/found/body/0", "Points3D:positions", 0))
+    np.testing.assert_allclose(points[upper], (rest + moved)[upper], atol=1e-6)
+    fields = {one.attrib["Name"]: one.text or "" for one in ET.parse(out / "slab.vtu").getroot().iter("DataArray")}
+    if force_n is None:
+        assert told["needed"]["young_pa"] is None
+        assert "young_pa" not in fields
+        assert not (out / "slab.xml").exists()
+        assert (out / "slab.obj").exists()
+        return
+    needed = force_n / (1e-3 * np.linalg.norm(moved[upper].sum(axis=0)))
+    assert told["needed"]["young_pa"] == pytest.approx(needed, rel=1e-6)
+    assert float(fields["young_pa"].split()[0]) == pytest.approx(needed, rel=1e-6)
+    scene = ET.parse(out / "slab.xml").getroot()
+    elasticity = scene.find("deformable/flex/elasticity")
+    assert elasticity is not None
+    assert float(elasticity.attrib["young"]) == pytest.approx(needed, rel=1e-5)
+    assert float(elasticity.attrib["poisson"]) == pytest.approx(told["needed"]["poisson"], rel=1e-5)
+    pinned = [bool(one.attrib.get("mocap")) for one in scene.findall("worldbody/body")]
+    assert pinned == (upper | (rest[:, 2] == 0.0)).tolist()
+
+
+def test_a_block_for_newton_is_refused_in_one_line(tmp_path: Path, capsys: Capture) -> None:
+    rest = block()
+    deformed = rest * (1.0, 1.0, 1.02)
+    record = recorded_block(tmp_path / "block", rest, deformed, 1.0)
+    capsys.readouterr()
+    assert main(["simulate", str(record), "--in", "newton", "--out", str(tmp_path / "out"), *QUIET]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "Newton's solver has no force of held vertices" in line
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not has("mujoco"), reason="needs mujoco, or DEFORMSCOPE_TARGETS_PYTHON with it")
+@pytest.mark.parametrize(("poisson", "way"), [(0.1, (0.0, 0.0, 4e-4)), (0.4, (3e-4, 0.0, -4e-4))])
+def test_mujoco_needs_the_modulus_of_a_block_of_finite_elements(
+    poisson: float, way: tuple[float, float, float], tmp_path: Path, capsys: Capture
+) -> None:
+    """Pulled, and pressed aside, at 1 % of its height: of trilinear elements, as the flex's cells are, both parameters
+    are the known ones."""
+    rest, young = block(), 30e3
+    axes = [np.unique(rest[:, at]) for at in range(3)]
+    box = ElasticBox(*axes, young=young, poisson=poisson, element="trilinear")  # type: ignore[misc]
+    held, to = np.zeros(box.nodes.shape, bool), np.zeros(box.nodes.shape)
+    upper = box.plane(2, axes[2][-1])
+    held[box.plane(2, 0.0) | upper] = True
+    to[upper] = way
+    found = box.hold(held).solve(to)
+    force = float(np.linalg.norm(found.force[upper].sum(axis=0)))
+    record = recorded_block(tmp_path / "block", rest, rest + found.displacement[box.corners], force)
+    capsys.readouterr()
+    flags = ["--python", WITH_TARGETS, "--out", str(tmp_path / "out"), *QUIET, "--json", "-"]
+    assert main(["simulate", str(record), "--in", "mujoco", *flags]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["needed"]["poisson"] == pytest.approx(poisson, abs=0.01)
+    assert told["needed"]["young_pa"] == pytest.approx(young, rel=0.02)
+    load = "import mujoco, sys; m = mujoco.MjModel.from_xml_path(sys.argv[1]); print(m.nflexvert, m.nmocap)"
+    alone = [WITH_TARGETS, "-I", "-c", load, str(tmp_path / "out" / "slab.xml")]
+    loaded = subprocess.run(alone, capture_output=True, text=True, check=True, cwd="/")
+    assert loaded.stdout.split() == [str(len(rest)), str(2 * 4 * 3)]
 
 
 def test_predict_sets_the_simulator_beside_the_model(folder: Path, tmp_path: Path, capsys: Capture) -> None:

@@ -8,8 +8,10 @@ import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial import cKDTree
 
-from deformscope.arrays import FloatArray, IntArray
+from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
+from deformscope.stages.fit.model import Observation
+from deformscope.stages.msm.clusters import rank
 from deformscope.stages.poke.layers import MeasuredSurface
 from deformscope.stages.poke.poke_fit import SeenPoke
 
@@ -32,12 +34,14 @@ class SlabMesh:
     """A slab of tetrahedra, glued to the ground, in the frame of its surface; up is +z.
 
     axes: coordinates of the grid along x, y, z [m]; vertices: (n, 3), last axis fastest [m]; elements: (m, 4) vertices
-    of each tetrahedron, of positive volume; material: (cx, cy, cz) number of each cell's material, from 0"""
+    of each tetrahedron, of positive volume; material: (cx, cy, cz) number of each cell's material, from 0; held: (n,)
+    vertices that are moved, without gravity, in place of the lowest, which are glued to the ground"""
 
     axes: tuple[FloatArray, FloatArray, FloatArray]
     vertices: FloatArray
     elements: IntArray
     material: IntArray
+    held: BoolArray | None = None
 
     @property
     def cells(self) -> tuple[int, int, int]:
@@ -104,6 +108,22 @@ def slab_mesh(axes: tuple[FloatArray, FloatArray, FloatArray], material: IntArra
     return SlabMesh(axes, vertices, every, np.zeros(shape - 1, np.int64) if material is None else material)
 
 
+def block_of(seen: Observation) -> tuple[SlabMesh, IntArray]:
+    """The block whose vertices are an observation's particles, and of each vertex the particle. Raises InputError for
+    particles that are not a block of rows along x, y and z."""
+    came, shape = "particles in other rows, or none", seen.shape or (0,)
+    if seen.cell is not None and np.prod(shape) == len(seen.cell) and len(shape) == 3 and min(shape) > 1:
+        particle = np.argsort(seen.cell)
+        grid = seen.rest[particle].reshape(*shape, 3)
+        x, y, z = (np.linspace(grid[..., at].min(), grid[..., at].max(), shape[at]) for at in range(3))
+        if np.allclose((mesh := slab_mesh((x, y, z))).vertices, seen.rest[particle], atol=0.2 * np.diff(z)[0]):
+            return mesh, particle
+    elif rank(seen.rest) == 2:
+        came = "a sheet, whose force shows modulus times thickness, not each"
+    hint = "a block's pair; of pokes of a surface a model: deformscope calibrate beta ... --thickness-m 0.03 --save"
+    raise InputError("a block of particles in rows along x, y and z", came, hint)
+
+
 def slab_around(
     surface: MeasuredSurface,
     pokes: Sequence[SeenPoke],
@@ -113,9 +133,8 @@ def slab_around(
 ) -> SlabMesh:
     """The part of a flat slab around pokes, as far as it moves.
 
-    spacing: size of its cells [m], None = so that it has about this number of vertices; material: material at places
-    (p, 2), through the whole thickness. Raises InputError for a poke
-    outside the surface, for a surface with a hole, for cells too coarse for the tip, and for too many vertices."""
+    spacing: size of its cells [m], None = so that it has about this number of vertices; material: at places (p, 2),
+    through the whole thickness. Raises InputError for a poke outside, a hole, cells too coarse for a tip, too many."""
     for poke in pokes:
         corners = poke.at[:2] + poke.tip.half * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
         if not surface.covers(np.vstack([poke.at[None, :2], corners])).all():

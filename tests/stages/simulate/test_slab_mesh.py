@@ -1,14 +1,17 @@
 """The mesh of a slab for other simulators."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
+from deformscope.stages.fit.model import Observation
 from deformscope.stages.msm.poke import Tip
 from deformscope.stages.poke.layers import MeasuredSurface
 from deformscope.stages.poke.poke_fit import SeenPoke
-from deformscope.stages.simulate.slab_mesh import slab_around, slab_mesh
+from deformscope.stages.simulate.slab_mesh import block_of, slab_around, slab_mesh
 
 AXES = (np.linspace(0.0, 0.1, 5), np.linspace(-0.02, 0.05, 4), np.linspace(0.01, 0.03, 4))
 NONE = np.zeros((0, 3))
@@ -104,3 +107,39 @@ def test_the_material_of_a_cell_is_that_at_its_middle() -> None:
     middle = 0.5 * (mesh.axes[0][1:] + mesh.axes[0][:-1])
     for layer in range(mesh.cells[2]):
         np.testing.assert_array_equal(mesh.material[:, 0, layer], middle > 0.1)
+
+
+def block(count: tuple[int, ...], order: bool = False) -> Observation:
+    """A block of particles .01 m apart, pulled along its first axis. order: particles in any order, with their cells"""
+    rest = 0.01 * np.stack(np.meshgrid(*(np.arange(one) for one in count), indexing="ij"), -1).reshape(-1, len(count))
+    cell = np.random.default_rng(3).permutation(len(rest)) if order else np.arange(len(rest))
+    rest = rest[cell]
+    ends = np.flatnonzero(rest[:, 0] == rest[:, 0].max())
+    seen = np.ones(len(rest), bool)
+    return Observation(rest, 1.01 * rest, ends, seen, shape=count, cell=cell)
+
+
+@pytest.mark.parametrize("order", [False, True])
+def test_a_blocks_vertices_are_its_particles(order: bool) -> None:
+    seen = block((3, 4, 2), order)
+    noise = 2e-4 * np.sin(np.arange(seen.rest.size)).reshape(-1, 3)
+    mesh, particle = block_of(replace(seen, rest=seen.rest + noise))
+    assert mesh.cells == (2, 3, 1)
+    np.testing.assert_allclose(mesh.vertices, seen.rest[particle], atol=3e-4)
+    for axis in mesh.axes:  # MuJoCo's cells are all alike
+        np.testing.assert_allclose(np.diff(axis), np.diff(axis)[0], rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("seen", "said"),
+    [
+        (block((4, 3)), "got a sheet"),
+        (block((4, 3, 1)), "got a sheet"),
+        (replace(block((4, 3, 3)), shape=None, cell=None), "got particles in other rows, or none"),
+        (replace(block((4, 3, 3)), shape=(3, 3, 4)), "got particles in other rows, or none"),
+        (replace(block((4, 3, 3)), shape=(5, 3, 3)), "got particles in other rows, or none"),
+    ],
+)
+def test_what_is_no_block_is_refused(seen: Observation, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        block_of(seen)
