@@ -135,7 +135,7 @@ def try_slab(case: SlabCase) -> SlabOutcome:
 
 @dataclass(frozen=True, slots=True)
 class RegionsCase(SlabCase):
-    """The slab of two materials. regions: of the map that is simulated, 1 or 2"""
+    """The slab of two materials. regions: number of regions of the simulated map, 1 or 2"""
 
     regions: int = 2
 
