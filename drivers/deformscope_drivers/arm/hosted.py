@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Iterable
 from concurrent.futures import Future, wait
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -182,6 +183,7 @@ class HostedArm(Arm[ArmState]):
         match message:
             case ("state", state, homed, stopped):
                 self._homed = homed
+                self._tally.in_sync()
                 if stopped and not self._stopped:  # the arm was stopped there
                     with self._commanded:
                         self._streamed, self._stopped = None, stopped
@@ -191,6 +193,8 @@ class HostedArm(Arm[ArmState]):
                     self._record_raw(one.data, one.host_ns, sent=one.sent)
             case ("refused", error):
                 self._refused = error
+            case ("count", name, what) if name in COUNTED:
+                getattr(self, name)(what)
             case ("health", extra):
                 self._health = extra
             case ("answer", number, error, result):
@@ -213,6 +217,8 @@ class HostedArm(Arm[ArmState]):
 HEALTH_S = 0.5
 CALLS = frozenset({"stop", "halt", "acknowledge_stop", "home"})
 """Methods that may be called; velocities have a message of their own."""
+COUNTED = ("_count_lost", "_count_skipped", "_count_refused")
+"""Methods that count losses: called there, carried out here."""
 LONG = frozenset({"home"})
 """Those of these calls that take seconds."""
 UNATTENDED_S = 1.0
@@ -223,6 +229,8 @@ def serve(channel: Channel, kind: type[Arm[Any]], config: Any, still: bool) -> N
     """Move an arm until the program at the other end ends. still: as `Arm.still`. Raises DeviceError at opening."""
     arm = kind(config)
     arm.still = still
+    for name in COUNTED:
+        setattr(arm, name, partial(channel.send, "count", name))
     raw = arm.raw()
     arm.open()
     be_prompt(STEERING)

@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 from deformscope_ur import DRIVER, Ur, UrConfig, UrDouble, rtde, ur_chain
-from deformscope_ur.config import CHAINS
-from deformscope_ur.device import SILENCE_S, control_script
+from deformscope_ur.config import CHAINS, RTDE
+from deformscope_ur.device import SILENCE_S, control_script, open_ur
+from deformscope_ur.double import Connection
 from scipy.spatial.transform import Rotation
 
 from deformscope.lab.arms import arm_in_lab
+from deformscope.recording.losses import lost_by
 from deformscope_drivers.arm import JointVelocity, MotionStopped
 from deformscope_drivers.arm.hosted import HostedArm
 from deformscope_drivers.arm.kinematics import FloatArray, pose_error
@@ -49,6 +51,40 @@ def test_it_moves_from_its_own_process() -> None:
         stood = arm.next(PATIENCE_S).joints_deg[0]
         arm.set_velocity(RATES, 60.0)
         wait_until(lambda: bool(arm.next(PATIENCE_S).joints_deg[0] > stood + 0.1))
+
+
+JUNK = b"\xff" * 9
+
+
+class Noisy(UrDouble):
+    """junk: before so many of its next reports stand bytes that fit no package."""
+
+    junk = 0
+
+    def connection(self, name: str) -> Connection:
+        connection = super().connection(name)
+        due = connection.due
+
+        def noisy(now_ns: int) -> bytes:
+            sent = due(now_ns)
+            if name != RTDE or not sent or not self.junk:
+                return sent
+            self.junk -= 1
+            return JUNK + sent
+
+        connection.due = noisy  # type: ignore[method-assign]
+        return connection
+
+
+@pytest.mark.parametrize("own_process", [False, True])
+def test_bytes_that_were_skipped_are_losses_of_a_recording(own_process: bool) -> None:
+    double = Noisy(UrConfig(own_process=own_process))
+    with PortsWire(double) as wire, open_ur(dataclasses.replace(double.config, port=wire.port)) as arm:
+        arm.next(PATIENCE_S)
+        assert "skipped_bytes" not in lost_by(arm.health())
+        double.junk = 3
+        wait_until(lambda: lost_by(arm.health()).get("skipped_bytes") == 3 * len(JUNK))
+        wait_until(lambda: sum(arm.health().refused.values()) >= 3)
 
 
 class TestUrMoves(ArmContract):

@@ -305,6 +305,7 @@ class Ur(Arm[ArmState]):
                 if isinstance(event, Skipped):
                     self._count_skipped(event)
                 else:
+                    self._tally.in_sync()
                     found.append((event, host_ns))
         return found
 
