@@ -24,7 +24,7 @@ from deformscope.arrays import BoolArray, FloatArray
 from deformscope.config import flags
 from deformscope.experiments.measured import DENT_M, SetupGeometry, sample_box
 from deformscope.lab.depth_view import DepthView
-from deformscope.lab.layer_world import LayerWorld
+from deformscope.lab.live_lab import LayerWorld
 from deformscope.lab.ray_camera import FOAM, ROBOT, DepthViewConfig, Rendered
 from deformscope.lab.scene_lab import RobotBody, described_robot
 from deformscope.lab.scenes import built_in

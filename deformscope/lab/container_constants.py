@@ -34,7 +34,7 @@ ROOM_K: Final = 293.15
 
 @dataclass(frozen=True, slots=True)
 class Content:
-    """Content of a container, as `container_filling` uses it. Zeros mean that there is no such resistance.
+    """Content of a container, as `container_world` uses it. Zeros mean that there is no such resistance.
 
     density_kg_m3: bulk density; solid_share: share of solid of the filled volume that is no gas; lateral_ratio:
     horizontal over vertical stress at rest

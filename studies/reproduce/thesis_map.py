@@ -26,11 +26,10 @@ from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.config import flags
 from deformscope.config.options import Flags
 from deformscope.errors import InputError
-from deformscope.experiments.explore.explorer import Explorer, UnseenSurface
+from deformscope.experiments.explore.explorer import Explorer, TouchContact, UnseenSurface
 from deformscope.experiments.explore.options import ExploreOptions
 from deformscope.experiments.explore.search import RegionSearch
 from deformscope.experiments.explore.seen_surface import SeenSurface
-from deformscope.experiments.explore.touch_fit import TouchContact
 from deformscope.stages.fit.estimate import Curve
 from deformscope.stages.fit.model import nearest_error
 from deformscope.stages.gaussian_process import Kernel, ProcessPrediction

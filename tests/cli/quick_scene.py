@@ -12,7 +12,7 @@ import pytest
 from deformscope.arrays import FloatArray
 from deformscope.experiments.explore.options import ExploreOptions
 from deformscope.images import encode_png
-from deformscope.lab.layer_world import LayerWorld
+from deformscope.lab.live_lab import LayerWorld
 from deformscope.lab.ray_camera import DepthViewConfig
 from deformscope.lab.scenes import Scene
 from deformscope.lab.slab import RigidTip

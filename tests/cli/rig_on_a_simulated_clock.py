@@ -13,8 +13,7 @@ import pytest
 
 from deformscope.lab.arms import arm_in_lab
 from deformscope.lab.depth_view import DepthView
-from deformscope.lab.layer_world import LayerWorld
-from deformscope.lab.live_lab import CAMERA, start_places_m
+from deformscope.lab.live_lab import CAMERA, LayerWorld, start_places_m
 from deformscope.lab.randomized_rig import BoardPicture, RandomizedRig
 from deformscope.lab.scenes import Scene
 from deformscope.lab.touch_lab import TouchLab

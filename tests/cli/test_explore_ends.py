@@ -25,7 +25,7 @@ TWICE = ["2" if word == "4" else word for word in EXPLORE]
 """Where it is not what is found that counts."""
 EXPLORER = "deformscope.experiments.explore.explorer"
 STAGES = {
-    "contact": "deformscope.experiments.explore.touch_fit.fit_approach",
+    "contact": "deformscope.experiments.explore.explorer.fit_approach",
     "regions": "deformscope.stages.regions.posterior.RegionPosterior.with_touch",
     "maps": "deformscope.stages.regions.posterior.RegionPosterior.region_map",
     "surface": "deformscope.stages.map.surface.HeightProcess.at",

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deformscope.lab.container_constants import BEARING_FACTOR, EMPTY, FLOUR, RICE, WATER, YOGURT, Content
-from deformscope.lab.container_filling import Gas, Patches
+from deformscope.lab.container_world import Gas, Patches
 
 HALF_M = 0.03
 DEEP_M = np.array([0.06])

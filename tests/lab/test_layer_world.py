@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deformscope.lab.layer_world import LayerWorld
+from deformscope.lab.live_lab import LayerWorld
 from deformscope.lab.scenes import built_in
 
 RADIUS_M = 0.01

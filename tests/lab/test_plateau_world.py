@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deformscope.errors import InputError
-from deformscope.lab.layer_world import LayerWorld
+from deformscope.lab.live_lab import LayerWorld
 from deformscope.lab.plateau_world import OgdenFoam, PlateauWorld, _Layer, force_share, press_ball
 from deformscope.lab.scene_lab import SceneLab
 from deformscope.lab.scenes import Piece, built_in

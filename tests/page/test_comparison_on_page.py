@@ -10,7 +10,6 @@ import pytest
 from matplotlib.colors import to_hex
 
 from deformscope.errors import InputError
-from deformscope.experiments.live.first_contact import first_contact_ns
 from deformscope.frames import SessionNote, Stream, TactileFrame, WrenchFrame
 from deformscope.log.exploration.compare import comparison_rrd
 from deformscope.log.layout import RIG, RigLayout
@@ -21,7 +20,7 @@ from deformscope.pictures.figures import canvas
 from deformscope.recording.item_rows import Row
 from deformscope.recording.reader import Replay
 from deformscope.recording.recorder import Recorder
-from deformscope.runs.aligned import aligned_series
+from deformscope.runs.aligned import aligned_series, first_contact_ns
 from deformscope.stages.map.exploration import PhaseStart
 from deformscope_drivers.clock import Stamp
 from tests.log import synthetic_exploration as synthetic

@@ -27,8 +27,8 @@ from deformscope_drivers.health import Link
 from deformscope_drivers.jaco import errors as vendor_errors
 from deformscope_drivers.jaco import structures
 from deformscope_drivers.jaco.chains import CHAINS, J2N6S300
+from deformscope_drivers.jaco.device import check_pose
 from deformscope_drivers.jaco.library import Functions, Library, call, read
-from deformscope_drivers.jaco.startup import check_pose
 from deformscope_drivers.jaco.structures import velocity_point
 from deformscope_drivers.memory import SimulatedClock
 from deformscope_drivers.pacing import SlotPacer

@@ -11,9 +11,9 @@ import pytest
 from deformscope_drivers.errors import CommandRefused, DeviceError, LibraryMissing, LinkLost, NotConnected
 from deformscope_drivers.jaco import errors, structures
 from deformscope_drivers.jaco.config import EthernetAddresses
+from deformscope_drivers.jaco.device import ethernet_structure
 from deformscope_drivers.jaco.double import JacoDouble
 from deformscope_drivers.jaco.library import SIGNATURES, Connection, Library, api_version, call
-from deformscope_drivers.jaco.startup import ethernet_structure
 from deformscope_drivers.jaco.structures import AngularInfo, CartesianInfo, TrajectoryPoint
 from tests.drivers.jaco.benches import CBench, build
 from tests.patience import PATIENCE_S
