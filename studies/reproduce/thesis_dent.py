@@ -13,7 +13,7 @@ from deformscope.experiments.explore.beta_fit import ball_at_depth
 from deformscope.experiments.explore.seen_surface import SeenSurface
 from deformscope.stages.gaussian_process import ProcessPrediction
 from deformscope.stages.map.measured import TouchMeasurement
-from deformscope.stages.map.surface import fit_surface
+from deformscope.stages.map.surface import HeightProcess, fit_surface
 from deformscope.stages.poke.contact import ArmCompliance, ContactFit
 from deformscope.stages.regions.touches import MapGrid
 from deformscope.stages.see.cloud import contact_radius_m
@@ -25,6 +25,9 @@ GOLDEN_ANGLE = float(np.pi * (3.0 - np.sqrt(5.0)))
 
 THESIS_ROI_M, TACTILE_NOISE_M = 0.08, 2e-4
 """Half the side of the square that the process of a dent sees, and the noise of its virtual points."""
+
+NOISE_ROUNDS, NOISE_SETTLED = 5, 0.01
+"""Rounds until the noise of the virtual points is that one, within this share."""
 
 COARSE_GRID_M = 0.01
 """The grid around a touch of recordings without one."""
@@ -88,8 +91,22 @@ def seen_dent(
     ball = ball_at_depth(touched, fit, arm, radius_m)
     tactile = tactile_points(ball.lowest_m, ball.radius_m, ball.depth_m, normal=touched.normal)
     near = np.abs(touched.after_m[:, :2] - touched.xy_m).max(axis=1) < THESIS_ROI_M
-    pressed = fit_surface(touched.after_m[near], known_m=tactile, known_noise_m=np.full(len(tactile), TACTILE_NOISE_M))
-    return dent_of(surface.process, pressed, touched.xy_m, cell_m)
+    return dent_of(surface.process, with_tactile(touched.after_m[near], tactile), touched.xy_m, cell_m)
+
+
+def with_tactile(seen_m: FloatArray, tactile_m: FloatArray) -> HeightProcess:
+    """The surface through points that were seen (n, 3), whose noise is not known, and virtual ones (k, 3) [m].
+
+    One factor of all noise is learned. So the share of the virtual points is set anew until the learned noise at them
+    is `TACTILE_NOISE_M`."""
+    count, share = len(seen_m), np.ones(len(seen_m) + len(tactile_m))
+    found = fit_surface(seen_m)
+    for _ in range(NOISE_ROUNDS):
+        share[count:] = TACTILE_NOISE_M / found.noise_m[0]
+        found = fit_surface(np.concatenate([seen_m, tactile_m]), noise_m=share)
+        if abs(found.noise_m[-1] / TACTILE_NOISE_M - 1.0) < NOISE_SETTLED:
+            break
+    return found
 
 
 def tactile_points(

@@ -63,16 +63,6 @@ class WeightedBasis:
 
 
 @dataclass(frozen=True, slots=True)
-class ListedPoints:
-    """A few points whose noise is known. basis: (k, m), value: (k,), both multiplied by 1 / noise; log_noise: as
-    above"""
-
-    basis: FloatArray
-    value: FloatArray
-    log_noise: float
-
-
-@dataclass(frozen=True, slots=True)
 class LogLikelihood:
     """Log marginal likelihood and its slopes by log sigma_e, log length and log of the noise's scale."""
 
@@ -117,42 +107,30 @@ class HilbertBasis:
         onto = (sine[0].T @ ((weight * value)[:, None] * sine[1]))[first, second] / np.sqrt(np.prod(self.wall))
         return WeightedBasis(gram, onto, float(weight @ value**2), float(2.0 * np.log(noise).sum()), len(value))
 
-    def list(self, places: FloatArray, value: FloatArray, noise: FloatArray) -> ListedPoints:
-        """Points (k, 2), with values (k,) and noise (k,)."""
-        angle = 0.5 * np.pi * (places - self.middle + self.wall) / self.wall
-        sine = np.prod(np.sin(angle[:, None] * self.number), axis=2) / np.sqrt(np.prod(self.wall))
-        return ListedPoints(sine / noise[:, None], value / noise, float(2.0 * np.log(noise).sum()))
-
-    def trial(
-        self, free: WeightedBasis, known: ListedPoints, sigma_e: float, length: float, scale: float
-    ) -> LogLikelihood:
-        """The log marginal likelihood; the noise of the free points is multiplied by `scale`, of the known ones not."""
+    def trial(self, points: WeightedBasis, sigma_e: float, length: float, scale: float) -> LogLikelihood:
+        """The log marginal likelihood; the noise of the points is multiplied by `scale`."""
         density = 2.0 * np.pi * (sigma_e * length) ** 2 * np.exp(-0.5 * length**2 * self.frequency2)
         root = np.sqrt(density)
         by = scale**-2.0
-        listed = known.basis * root
-        inner = free.gram * (by * root[:, None])
+        inner = points.gram * (by * root[:, None])
         inner *= root
-        if len(listed):
-            inner += listed.T @ listed
         inner.flat[:: len(root) + 1] += 1.0
-        onto = by * root * free.onto + listed.T @ known.value
+        onto = by * root * points.onto
         factor, failed = dpotrf(inner, lower=1, clean=1, overwrite_a=1)
         if failed:
             return LogLikelihood(-np.inf, np.zeros(3))
         weight = cho_solve((factor, True), onto, check_finite=False)
-        logs = free.log_noise + known.log_noise - free.count * np.log(by) + 2.0 * np.log(np.diag(factor)).sum()
-        count = free.count + len(known.value)
-        square = by * free.square + float(known.value @ known.value) - float(onto @ weight)
-        value = -0.5 * (square + logs + count * np.log(2.0 * np.pi))
+        logs = points.log_noise - points.count * np.log(by) + 2.0 * np.log(np.diag(factor)).sum()
+        square = by * points.square - float(onto @ weight)
+        value = -0.5 * (square + logs + points.count * np.log(2.0 * np.pi))
         inverse, _ = dtrtri(factor, lower=1, overwrite_c=1)
         spread = np.einsum("ij,ij->j", inverse, inverse)  # the weights' posterior variances
         by_density = 0.5 * (weight**2 + spread - 1.0)
         expected = root * weight
-        left = free.square - 2.0 * expected @ free.onto + expected @ (free.gram @ expected)
-        uncertain = len(root) - float(spread.sum()) - float(np.sum((inverse @ listed.T) ** 2))
+        left = points.square - 2.0 * expected @ points.onto + expected @ (points.gram @ expected)
+        uncertain = len(root) - float(spread.sum())
         by_length = by_density @ (2.0 - length**2 * self.frequency2)
-        slope = np.array([2.0 * by_density.sum(), by_length, by * left + uncertain - free.count])
+        slope = np.array([2.0 * by_density.sum(), by_length, by * left + uncertain - points.count])
         return LogLikelihood(float(value), slope)
 
 
@@ -204,18 +182,12 @@ class Observations:
     noise: FloatArray
 
 
-def learn(free: Observations, known: Observations, start: Hyperparameters | None) -> Hyperparameters:
-    """The likeliest hyper-parameters. free: points whose noise is known up to one factor (1 without such points);
-    known: points whose noise is known; start: estimates from nearly the same points; None: a few lengths are tried
-    first"""
-    return _Search(free, known).run(start)
-
-
 class _Search:
-    def __init__(self, free: Observations, known: Observations) -> None:
-        self.free, self.known = free, known
-        places = np.concatenate([free.places, known.places])
-        low, high = places.min(axis=0), places.max(axis=0)
+    """The likeliest hyper-parameters of points whose noise is known up to one factor."""
+
+    def __init__(self, points: Observations) -> None:
+        self.points = points
+        low, high = points.places.min(axis=0), points.places.max(axis=0)
         self.middle, self.half = 0.5 * (low + high), 0.5 * (high - low)
         half = self.half
         self.trials = 0
@@ -224,16 +196,14 @@ class _Search:
         while HilbertBasis.size(half, shortest / RANGE[0], shortest * RANGE[1]) > MOST_SINES:
             shortest *= 1.05
         self.limits = (shortest, longest)
-        value = np.concatenate([free.value, known.value])
-        noise = roughness(free)
-        self.scale = noise / float(np.median(free.noise)) if len(free.noise) else 1.0
-        self.scales = np.log([max(float(value.std()), noise, FLOOR_M), 0.25 * longest / LONGEST, self.scale])
+        noise = roughness(points)
+        scale = noise / float(np.median(points.noise))
+        self.scales = np.log([max(float(points.value.std()), noise, FLOOR_M), 0.25 * longest / LONGEST, scale])
 
     def run(self, before: Hyperparameters | None) -> Hyperparameters:
+        """before: estimates from nearly the same points; None: a few lengths are tried first"""
         low, high = self.scales - FREEDOM, self.scales + FREEDOM
         low[1], high[1] = np.log(self.limits)
-        if not len(self.free.value):
-            low[2] = high[2] = 0.0
         if before is None:
             at = self._first()
         else:
@@ -263,9 +233,9 @@ class _Search:
             length = max(length, self.limits[0])
             basis = HilbertBasis(self.middle, self.half, length, length)
             weighed = self._weighed(basis)
-            for less in (0.0, LESS_NOISE) if len(self.free.value) else (0.0,):
+            for less in (0.0, LESS_NOISE):
                 here = np.array([start[0], np.log(length), start[2] - less])
-                value = basis.trial(*weighed, *(float(x) for x in np.exp(here))).value
+                value = basis.trial(weighed, *(float(x) for x in np.exp(here))).value
                 self.trials += 1
                 if value > best:
                     best, at = value, here
@@ -279,13 +249,13 @@ class _Search:
         basis = HilbertBasis(self.middle, self.half, *ends)
         weighed = self._weighed(basis)
         free = bounds[:, 0] < bounds[:, 1]
-        count = len(self.free.value) + len(self.known.value)
+        count = len(self.points.value)
 
         def cost(x: FloatArray) -> tuple[float, FloatArray]:
             """Negative log posterior at x (3,) and its slopes (3,), each divided by the number of points."""
             self.trials += 1
             sigma_e, length, scale = np.exp(x)
-            found = basis.trial(*weighed, sigma_e, length, scale)
+            found = basis.trial(weighed, sigma_e, length, scale)
             away = np.where(free, (x - self.scales) / PRIOR_SPREAD, 0.0)
             value = found.value if np.isfinite(found.value) else -HOPELESS
             return (0.5 * float(away @ away) - value) / count, (away / PRIOR_SPREAD - found.slope) / count
@@ -297,10 +267,8 @@ class _Search:
         away = np.where(free, (x - self.scales) / PRIOR_SPREAD, 0.0)
         return x, float(0.5 * away @ away - found.fun * count)
 
-    def _weighed(self, basis: HilbertBasis) -> tuple[WeightedBasis, ListedPoints]:
-        free, known = self.free, self.known
-        listed = basis.list(known.places, known.value, known.noise)
-        return basis.weigh(free.places, free.value, free.noise), listed
+    def _weighed(self, basis: HilbertBasis) -> WeightedBasis:
+        return basis.weigh(self.points.places, self.points.value, self.points.noise)
 
 
 def roughness(points: Observations) -> float:
@@ -490,44 +458,40 @@ def fit_surface(
     points_m: FloatArray,
     *,
     noise_m: FloatArray | None = None,
-    known_m: FloatArray | None = None,
-    known_noise_m: FloatArray | None = None,
     within_m: tuple[tuple[float, float], tuple[float, float]] | None = None,
     outlier_sd: float | None = None,
 ) -> HeightProcess:
     """The surface through points (n, 3) [m], z up.
 
     noise_m: (n,) deviation of each height [m] up to one factor, which is learned: default the same at all points
-    known_m, known_noise_m: (k, 3) and (k,) further points with known noise, such as tactile ones [m]
     within_m: the (low, high) places at which the surface will be evaluated, default the points' own box; beyond it the
     process falls back to its prior within about a length
     outlier_sd: points farther from the surface than this many deviations are left out, and the surface is fitted again.
     Raises InputError for too few points, values that are not finite, and a kernel too short for the box."""
-    free, known = _checked(points_m, noise_m, UNIT_NOISE_M), _checked(known_m, known_noise_m, None)
-    if len(free.value) + len(known.value) < FEWEST:
-        raise InputError(f"{FEWEST} surface points at least", f"{len(free.value) + len(known.value)}")
-    level = float(free.value.mean() if len(free.value) else known.value.mean())
-    free, known = (Observations(one.places, one.value - level, one.noise) for one in (free, known))
-    places = np.concatenate([free.places, known.places])
-    low, high = places.min(axis=0), places.max(axis=0)
+    given = _checked(points_m, noise_m)
+    if len(given.value) < FEWEST:
+        raise InputError(f"{FEWEST} surface points at least", f"{len(given.value)}")
+    level = float(given.value.mean())
+    points = Observations(given.places, given.value - level, given.noise)
+    low, high = points.places.min(axis=0), points.places.max(axis=0)
     if within_m is not None:
         low, high = np.minimum(low, within_m[0]), np.maximum(high, within_m[1])
-    used = np.ones(len(free.value), dtype=bool)
+    used = np.ones(len(points.value), dtype=bool)
     with threadpool_limits(1):  # the same digits whatever the machine's cores
-        learned, process = _learned(free, known, low, high)
+        learned, process = _learned(points, low, high)
         for _ in range(OUTLIER_ROUNDS if outlier_sd is not None else 0):
-            found = process.at(free.places)
-            away = np.abs(free.value - found.mean)
-            inside = away <= outlier_sd * np.hypot(learned.noise_scale * free.noise, found.deviation)
-            if (inside == used).all() or inside.sum() + len(known.value) < FEWEST:
+            found = process.at(points.places)
+            away = np.abs(points.value - found.mean)
+            inside = away <= outlier_sd * np.hypot(learned.noise_scale * points.noise, found.deviation)
+            if (inside == used).all() or inside.sum() < FEWEST:
                 break
             used = inside
-            some = Observations(free.places[used], free.value[used], free.noise[used])
-            learned, process = _learned(some, known, low, high, learned)
+            some = Observations(points.places[used], points.value[used], points.noise[used])
+            learned, process = _learned(some, low, high, learned)
     return HeightProcess(
         learned=learned,
         level_m=level,
-        noise_m=learned.noise_scale * free.noise,
+        noise_m=learned.noise_scale * points.noise,
         used=used,
         box_m=((float(low[0]), float(low[1])), (float(high[0]), float(high[1]))),
         evidence=process.elbo,
@@ -536,10 +500,10 @@ def fit_surface(
 
 
 def _learned(
-    free: Observations, known: Observations, low: FloatArray, high: FloatArray, start: Hyperparameters | None = None
+    points: Observations, low: FloatArray, high: FloatArray, start: Hyperparameters | None = None
 ) -> tuple[Hyperparameters, SparseProcess]:
     """Hyper-parameters, and the process with them. low, high: (2,) corners of the box that holds the points [m]"""
-    learned = learn(free, known, start)
+    learned = _Search(points).run(start)
     length_m = learned.kernel.length_m
     if float(np.prod((high - low) / (SPACING * length_m) + 1.0)) > MOST_INDUCING:
         raise InputError(
@@ -547,29 +511,16 @@ def _learned(
             f"length {length_m:.3g} m on {high[0] - low[0]:.3g} x {high[1] - low[1]:.3g} m",
             "a smaller box",
         )
-    process = SparseProcess(
-        learned.kernel,
-        np.concatenate([free.places, known.places]),
-        np.concatenate([free.value, known.value]),
-        np.concatenate([learned.noise_scale * free.noise, known.noise]),
-        low,
-        high,
-    )
-    return learned, process
+    noise = learned.noise_scale * points.noise
+    return learned, SparseProcess(learned.kernel, points.places, points.value, noise, low, high)
 
 
-def _checked(points: FloatArray | None, noise: FloatArray | None, default: float | None) -> Observations:
-    """Places, heights and noise of points (n, 3); none: no points."""
-    if points is None:
-        return Observations(np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+def _checked(points: FloatArray, noise: FloatArray | None) -> Observations:
+    """Places, heights and noise of points (n, 3)."""
     points = np.asarray(points, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3:
         raise InputError("points (n, 3) [m]", f"shape {points.shape}")
-    if noise is None:
-        if default is None:
-            raise InputError("known_noise_m, a deviation of each known point", "none")
-        noise = np.full(len(points), default)
-    noise = np.asarray(noise, dtype=np.float64)
+    noise = np.full(len(points), UNIT_NOISE_M) if noise is None else np.asarray(noise, dtype=np.float64)
     if noise.shape != (len(points),):
         raise InputError(f"a noise for each of {len(points)} points", f"shape {noise.shape}")
     if not np.isfinite(points).all():

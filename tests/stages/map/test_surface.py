@@ -142,21 +142,6 @@ def test_normals_stand_on_a_tilted_plane() -> None:
     np.testing.assert_allclose(normals, [expected, expected], atol=2e-3)
 
 
-def test_tactile_points_are_believed_as_they_are_and_do_not_scale_with_the_cameras_noise() -> None:
-    rng = np.random.default_rng(6)
-    points = np.column_stack([with_a_hole(rng, 600), rng.normal(size=600) * 2e-3])
-    dent = np.array([[0.35, 0.2, -0.006], [0.352, 0.2, -0.0059]])
-    surface = fit_surface(points, known_m=dent, known_noise_m=np.full(2, 1e-4))
-    at = surface.at(np.array([[0.35, 0.2]]))
-    assert at.mean[0] == pytest.approx(-0.006, abs=3e-4)
-    assert at.deviation[0] < 1.1e-4
-    every, noise = np.concatenate([points, dent]), np.concatenate([surface.noise_m, np.full(2, 1e-4)])
-    asked = rng.uniform(size=(40, 2)) * SIZE
-    mean, deviation = exact(surface, every, noise, asked)
-    np.testing.assert_allclose(surface.at(asked).mean, mean, atol=1e-6)
-    np.testing.assert_allclose(surface.at(asked).deviation, deviation, rtol=2e-3)
-
-
 def test_constant_few_and_repeated_points_still_make_a_surface() -> None:
     flat = np.column_stack([MapGrid((0.6, 0.4), 0.05).centres_m, np.full(96, 0.05)])
     level = fit_surface(flat).at(np.array([[0.3, 0.2], [0.0, 0.0]]))
@@ -213,7 +198,6 @@ def test_far_from_all_points_the_surface_falls_back_to_what_is_known_before() ->
         (np.full((5, 3), np.nan), {}, "finite points"),
         (np.zeros((5, 3)), {"noise_m": np.zeros(5)}, "noise above 0"),
         (np.zeros((5, 3)), {"noise_m": np.ones(4)}, "a noise for each"),
-        (np.zeros((5, 3)), {"known_m": np.zeros((2, 3))}, "known_noise_m"),
         (np.random.default_rng(0).uniform(size=(50, 3)), {"within_m": ((0.0, 0.0), (1e3, 1e3))}, "inducing points"),
     ],
 )

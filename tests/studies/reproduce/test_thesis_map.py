@@ -13,13 +13,13 @@ from deformscope.experiments.explore.robot_geometry import Touch
 from deformscope.lab.scenes import built_in
 from deformscope.stages.map.field import FieldMap
 from deformscope.stages.map.plan import PlanOptions
-from deformscope.stages.map.surface import HeightProcess, fit_surface
+from deformscope.stages.map.surface import HeightProcess
 from deformscope.stages.regions.posterior import RegionPosterior
 from deformscope.stages.regions.touches import MapGrid, TouchErrorModel
 from deformscope.stages.see.cloud import contact_radius_m
 from studies.reproduce import thesis_map
 from studies.reproduce.surface_robot import LabRobot
-from studies.reproduce.thesis_dent import SeenDent, dent_of, tactile_points
+from studies.reproduce.thesis_dent import TACTILE_NOISE_M, SeenDent, dent_of, tactile_points, with_tactile
 from studies.reproduce.thesis_map import (
     SIGMA_E,
     SIGMA_N,
@@ -35,6 +35,7 @@ from studies.reproduce.thesis_map import (
     thesis_beta,
 )
 from studies.reproduce.thesis_rules import OWN, ScenarioCase, explore_scenario
+from tests.stages.map.test_surface import SIZE, exact, with_a_hole
 from tests.stages.map.test_touch_beta import AT, RADIUS, THICKNESS, level, of_our_own
 
 __all__ = ["level"]
@@ -173,6 +174,22 @@ def test_it_starts_at_its_place_ends_by_its_variance_and_cuts_along_isopleths() 
     assert layers.iou > 0.6
 
 
+def test_tactile_points_are_believed_as_they_are_and_do_not_scale_with_the_cameras_noise() -> None:
+    rng = np.random.default_rng(6)
+    points = np.column_stack([with_a_hole(rng, 600), rng.normal(size=600) * 2e-3])
+    dent = np.array([[0.35, 0.2, -0.006], [0.352, 0.2, -0.0059]])
+    surface = with_tactile(points, dent)
+    np.testing.assert_allclose(surface.noise_m[:600], 2e-3, rtol=0.1)
+    np.testing.assert_allclose(surface.noise_m[600:], TACTILE_NOISE_M, rtol=0.01)
+    at = surface.at(np.array([[0.35, 0.2]]))
+    assert at.mean[0] == pytest.approx(-0.006, abs=6e-4)
+    assert at.deviation[0] < 1.1 * TACTILE_NOISE_M
+    asked = rng.uniform(size=(40, 2)) * SIZE
+    mean, deviation = exact(surface, np.concatenate([points, dent]), surface.noise_m, asked)
+    np.testing.assert_allclose(surface.at(asked).mean, mean, atol=1e-6)
+    np.testing.assert_allclose(surface.at(asked).deviation, deviation, rtol=2e-3)
+
+
 # Its model of a dent -------------------------------------------------------------------------------------------------
 
 
@@ -181,9 +198,7 @@ def test_the_thesiss_model_holds_its_lowest_point_and_says_what_its_trend_is(lev
     depth = 0.006
     after = of_our_own(0.0, depth, 1e-4)
     tactile = tactile_points(np.array([*AT, THICKNESS - depth]), RADIUS, depth)
-    touched = fit_surface(
-        after, noise_m=np.full(len(after), 1e-3), known_m=tactile, known_noise_m=np.full(len(tactile), 2e-4)
-    )
+    touched = with_tactile(after, tactile)
     found = thesis_beta(dent_of(level, touched, AT))
     assert 0.0 <= found.beta <= found.curve.parameter[-1]
     assert len(found.simulated_m) == 15 * 15
