@@ -132,7 +132,7 @@ class ExplorationLayout(RecordingLayout):
     by_touch: ClassVar[bool] = True
 
     def blueprint(self, *, on_page: bool = False) -> "rr.blueprint.Blueprint":
-        from deformscope.log.exploration.blueprint import exploration_blueprint
+        from deformscope.log.exploration.results import exploration_blueprint
 
         return exploration_blueprint(
             self.streams, self.size_m, truth=self.truth, inclusions=self.inclusions, tabs=on_page

@@ -45,7 +45,7 @@ def show_comparison(
 ) -> None:
     """Show other settings' results for a recorded exploration as a layer over it. recorded: its results; again: results
     with other settings; size_m: size of the surface; name: name of the settings"""
-    from deformscope.log.exploration.compare import comparison_rrd
+    from deformscope.log.exploration.results import comparison_rrd
 
     streams = read_streams(recording.path, trust=True)
     results = [(row.session_ns, row.item) for row in recorded]

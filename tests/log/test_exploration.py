@@ -13,9 +13,8 @@ from rerun.chunk import RrdReader
 from deformscope.arrays import FloatArray
 from deformscope.frames import ColorFrame, DepthFrame, Item, Stream
 from deformscope.images import encode_png
-from deformscope.log.exploration.blueprint import exploration_blueprint
 from deformscope.log.exploration.display import summary
-from deformscope.log.exploration.results import log_exploration_start, prepare_results
+from deformscope.log.exploration.results import exploration_blueprint, log_exploration_start, prepare_results
 from deformscope.log.layout import EXPLORATION, ExplorationLayout
 from deformscope.log.rig import Place, log_streams, prepare_items
 from deformscope.recording.item_rows import Row

@@ -15,8 +15,7 @@ from rerun.experimental import ViewerClient
 
 from deformscope.files.sources import open_source
 from deformscope.frames import ArmFrame, HealthReport
-from deformscope.log.exploration.blueprint import exploration_blueprint
-from deformscope.log.exploration.results import log_exploration_start, prepare_results
+from deformscope.log.exploration.results import exploration_blueprint, log_exploration_start, prepare_results
 from deformscope.log.layout import PAIR, PAIR_3D
 from deformscope.log.rig import Place, log_items, log_streams, prepare_items, rig_blueprint
 from deformscope.recording import live, recorder, rrd_file

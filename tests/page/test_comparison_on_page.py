@@ -11,7 +11,7 @@ from matplotlib.colors import to_hex
 
 from deformscope.errors import InputError
 from deformscope.frames import SessionNote, Stream, TactileFrame, WrenchFrame
-from deformscope.log.exploration.compare import comparison_rrd
+from deformscope.log.exploration.results import comparison_rrd
 from deformscope.log.layout import RIG, RigLayout
 from deformscope.page.server.messages import Playback
 from deformscope.page.server.page_server import PageServer

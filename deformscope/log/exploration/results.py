@@ -18,26 +18,39 @@ measurement of a touch is at the frame of its dent. `deformscope.recording.items
     exploration/perception/look|touch    results between frames and estimates
     exploration/force_pose                likewise, a row for each reading of the force: force and pose of the tip
     display/perception/...                likewise (`deformscope.log.exploration.perception`)
-    display/lumps/map|missed|summary where inclusions are sought: found ones, and the detection limit, as text"""
+    display/lumps/map|missed|summary where inclusions are sought: found ones, and the detection limit, as text
+
+Its view is one window: the robot at the left, its estimates at the right. Other settings' results for a recorded
+exploration are a layer over it, in the recording's views, in two colours:
+
+    display/scene/beside   where the regions end, on the surface in space: recorded, and with the other settings
+    display/beside/...     the same as a picture, and the result of each touch"""
 
 from collections.abc import Sequence
 from functools import partial
+from typing import Literal
 
 import numpy as np
 import rerun as rr
+import rerun.blueprint as rrb
 
 from deformscope.arrays import FloatArray
 from deformscope.frames import Stream
 from deformscope.log.canvas import TEXT
 from deformscope.log.exploration import display, scene
-from deformscope.log.exploration.perception import ERROR, log_error, log_ground, log_pixels, log_tool
+from deformscope.log.exploration.perception import ERROR, PIXELS, log_error, log_ground, log_pixels, log_tool
+from deformscope.log.exploration.perception import MAPS as FIELD_MAPS
 from deformscope.log.exploration.scene import DENT as DENT_VIEW
-from deformscope.log.exploration.scene import log_dent
+from deformscope.log.exploration.scene import LINE_M, SCENE, SURFACE_FRAME, log_dent
 from deformscope.log.result_batch import ResultBatch, png_view
-from deformscope.log.rig.columns import Batch, Place, states
+from deformscope.log.rig.blueprint import FLOOR, LEGEND, blueprint_of, depth_view, named, space_view
+from deformscope.log.rig.columns import Batch, Place, root, states
 from deformscope.log.rig.numbers import plotted
 from deformscope.log.views import SOMETIMES, ShownStage, Views, views_of
 from deformscope.pictures import exploration as pictures
+from deformscope.pictures.exploration import FIELDS
+from deformscope.pictures.messages import format_verdict
+from deformscope.pictures.palette import BACKGROUND
 from deformscope.rows import ENTITIES
 from deformscope.stages.map.exploration import (
     DISPLAY,
@@ -91,6 +104,208 @@ PEAKS = rr.components.AggregationPolicy.MinMax
 
 CELL_M = 0.005
 """Cell size of maps that state none [m]."""
+PAPER = [255, 255, 255]
+COMPARED_REGIONS = "display/beside/regions"
+COMPARED_TOUCHES: dict[Literal["stiffness", "beta"], str] = {
+    "stiffness": "display/beside/stiffness",
+    "beta": "display/beside/beta",
+}
+"""Results of other settings with the recorded ones (`deformscope.log.exploration.results`)."""
+TITLES = {
+    "stiffness": "Stiffness field",
+    "stiffness_deviation": "Stiffness field: deviation",
+    "beta": "Beta-field",
+    "beta_deviation": "Beta-field: deviation",
+    "regions": "Regions found",
+    "truth": "Truth",
+}
+ABOVE_M, APART_M = 0.002, 0.07
+"""How far the lines are above the surface, and their names above its far edge and each other."""
+WIDTHS_M = 3 * LINE_M, LINE_M
+"""Line widths, chosen so that both lines are visible where they coincide."""
+
+
+def comparison_rrd(
+    identity: tuple[str, str],
+    streams: Sequence[Stream],
+    size_m: tuple[float, float],
+    recorded: Sequence[tuple[int, object]],
+    again: Sequence[object],
+    name: str,
+) -> bytes:
+    """rerun data that a viewer lays over a recording, with views of both.
+
+    identity, streams, size_m: identity, streams and size of the recording and its surface; recorded: its results with
+    their time since its start [ns]; again: results with other settings; name: name of these"""
+    rec = rr.RecordingStream(identity[0], recording_id=identity[1], send_properties=False)
+    encoded = rr.binary_stream(rec)
+    truth = any(isinstance(one, MapEstimate) and one.truth_labels is not None for _, one in recorded)
+    views = exploration_blueprint(streams, size_m, truth=truth, tabs=True, compared=name)
+    rec.send_blueprint(views)
+    _batch_of(recorded, again, name).send(rec)
+    return encoded.read() or b""
+
+
+def _batch_of(recorded: Sequence[tuple[int, object]], again: Sequence[object], name: str) -> Batch:
+    batch = Batch()
+    before: list[TouchEstimate] = []
+    others = [one for one in again if isinstance(one, TouchEstimate)]
+    maps = {one.touches: one for one in again if isinstance(one, MapEstimate)}
+    surface = next((one for _, one in recorded if isinstance(one, SurfaceEstimate)), None)
+    for path in (COMPARED_REGIONS, *COMPARED_TOUCHES.values()):
+        ResultBatch(batch, 0).show_png(path, pictures.text_png, "no touch yet")
+    for session_ns, result in recorded:
+        now = ResultBatch(batch, session_ns)
+        if isinstance(result, TouchEstimate):
+            before.append(result)
+            now_known = [one for one in others if one.number <= result.number]
+            for quantity, path in COMPARED_TOUCHES.items():
+                now.show_png(path, pictures.touch_comparison_png, quantity, before, now_known, name)
+        elif isinstance(result, MapEstimate) and (other := maps.get(result.touches)) is not None:
+            now.show_png(COMPARED_REGIONS, pictures.region_comparison_png, result, other, name)
+            _log_edges(now, (result, other), name, surface)
+    return batch
+
+
+def _log_edges(
+    now: ResultBatch, maps: tuple[MapEstimate, MapEstimate], name: str, surface: SurfaceEstimate | None
+) -> None:
+    """On the surface, and above its far edge their names in the same colours."""
+    names = ("recorded", name)
+    for place, (one, color, whose) in enumerate(zip(maps, (pictures.RECORDED, pictures.OTHER), names, strict=True)):
+        edges = pictures.region_edges(one.labels, one.cell_m)
+        height_m = np.zeros(edges.shape[:2])
+        if surface is not None:
+            rows, columns = surface.height_m.shape
+            x, y = (
+                np.minimum(edges[..., axis] / surface.cell_m, (columns, rows)[axis] - 1).astype(int) for axis in (0, 1)
+            )
+            height_m = surface.height_m[y, x]
+        lines = np.concatenate([edges, (height_m + (1 + place) * ABOVE_M)[..., None]], axis=-1)
+        path = f"{SCENE}/beside/{('recorded', 'other')[place]}"
+        now.show_lines(path, lines, color, WIDTHS_M[place])
+        y_m = one.labels.shape[0] * one.cell_m
+        words = f"{whose}: {format_verdict(one)}"
+        now.show_points(f"{path}/name", np.array([[0.0, y_m, (1 + place) * APART_M]]), color, 2 * LINE_M, [words])
+
+
+def exploration_blueprint(
+    streams: Sequence[Stream],
+    size_m: tuple[float, float] = (0.6, 0.4),
+    *,
+    truth: bool = True,
+    inclusions: bool = False,
+    tabs: bool = False,
+    compared: str = "",
+) -> rrb.Blueprint:
+    """The views of an exploration with these devices.
+
+    size_m: size of the surface along x and y; truth: whether the truth is known: otherwise the surface's height is
+    shown instead; inclusions: whether inclusions are sought: they replace beta
+    tabs: most views are tabs, for a page, which has panels at both sides and may have to draw without a GPU
+    compared: other settings, whose results are shown with the recorded ones (`tabs` alone)"""
+    maps = {name: _picture(path, title) for (name, title), path in zip(TITLES.items(), display.MAPS, strict=True)}
+    if inclusions:
+        maps |= {
+            "beta": _picture(display.INCLUSIONS, "Inclusions"),
+            "beta_deviation": _picture(display.MISSED, "What may be missed"),
+        }
+    gain, force = (
+        _picture(display.GAIN, "Gain of each place for the next touch"),
+        _picture(display.FORCE, "Force over depth"),
+    )
+    truly = maps["truth"] if truth else _picture(display.HEIGHT, "Surface")
+    words = display.INCLUSIONS_SUMMARY if inclusions else display.SUMMARY
+    summary = rrb.TextDocumentView(contents=[f"+ /{words}"], origin=words, name="What is known")
+    if tabs:
+        fields = rrb.Tabs(maps["stiffness"], maps["stiffness_deviation"], maps["beta"], maps["beta_deviation"])
+        regions, touches = [maps["regions"], truly], [force]
+        if compared:
+            regions.insert(0, _picture(COMPARED_REGIONS, f"Regions: recorded, {compared}"))
+            touches[:0] = [
+                _picture(path, f"{name.capitalize()}: recorded, {compared}") for name, path in COMPARED_TOUCHES.items()
+            ]
+        known = rrb.Vertical(rrb.Tabs(*regions), fields, rrb.Tabs(gain, summary))
+        at_touch = rrb.Tabs(*touches, *_sections(), *_looks(streams), _pixels(), *_over_time(streams))
+        robot = rrb.Vertical(_scenes(streams, size_m), at_touch, row_shares=[4, 3])
+        views = rrb.Horizontal(robot, known, column_shares=[5, 4])
+        return blueprint_of(views, play="paused" if compared else "following")
+    known = rrb.Vertical(
+        rrb.Horizontal(maps["stiffness"], maps["stiffness_deviation"], gain),
+        rrb.Horizontal(maps["beta"], maps["beta_deviation"], force),
+        rrb.Horizontal(maps["regions"], truly, summary),
+    )
+    return blueprint_of(rrb.Horizontal(_robot(streams, size_m), known, column_shares=[4, 6]))
+
+
+def _robot(streams: Sequence[Stream], size_m: tuple[float, float]) -> rrb.Container:
+    dent, *depths = _looks(streams)
+    *plots, lanes = _over_time(streams)
+    close = rrb.Horizontal(dent, _tabbed([*depths, _pixels()]))
+    over_time = rrb.Vertical(*plots, lanes, row_shares=[*[1.6] * len(plots), 1.0])
+    below = rrb.Horizontal(_tabbed(_sections()), over_time, column_shares=[1.0, 1.05])
+    return rrb.Vertical(_scenes(streams, size_m), close, below, row_shares=[3.6, 2.7, 2.9])
+
+
+def _tabbed(views: Sequence[rrb.View]) -> rrb.Container | rrb.View:
+    return rrb.Tabs(*views, active_tab=0) if len(views) > 1 else views[0]
+
+
+def _sections() -> list[rrb.View]:
+    return [_picture(display.SECTION, "The dent in section"), _picture(ERROR, "Error over beta")]
+
+
+def _pixels() -> rrb.View:
+    """Which pixels were used."""
+    names = "blue used, grey outside, yellow lone, red to pink robot"
+    return rrb.Spatial2DView(contents=[f"+ /{PIXELS}"], name=f"Pixels: {names}", background=list(BACKGROUND))
+
+
+def _scenes(streams: Sequence[Stream], size_m: tuple[float, float]) -> rrb.Container | rrb.View:
+    """The scene, and each map on the surface."""
+    names = {quantity: f"{quantity.replace('_', ': ').capitalize()} on the surface" for quantity in FIELDS}
+    maps = [_scene((), size_m, f"{FIELD_MAPS}/{one}", name) for one, name in names.items()]
+    return _tabbed([_scene(streams, size_m), *maps])
+
+
+def _looks(streams: Sequence[Stream]) -> list[rrb.View]:
+    name = "The dent: observed blue, simulated red"
+    dent = space_view(name, [f"+ /{DENT_VIEW}/**"], [0.5, -1.95, 0.95], [0.0, -0.2, -0.15])
+    return [dent, *(depth_view(stream) for stream in streams if stream.kind == "depth")]
+
+
+def _over_time(streams: Sequence[Stream]) -> list[rrb.View]:
+    """Forces, and last the phases."""
+    plots = [
+        rrb.TimeSeriesView(contents=[f"+ /{path}"], origin=path, name=named(stream, title), plot_legend=LEGEND)
+        for stream in streams
+        if stream.kind == "wrench"
+        for path, title in plotted(stream)
+        if "force" in title
+    ]
+    return [*plots, rrb.StateTimelineView(contents=[f"+ /{ENTITIES[PhaseStart]}"], origin="exploration", name="Phases")]
+
+
+def _scene(
+    streams: Sequence[Stream], size_m: tuple[float, float], what: str = f"{SCENE}/**", name: str = ""
+) -> rrb.View:
+    """Seen from the front, above and to the side, near enough that surface and arm fit."""
+    simulated = " (SIMULATED)"
+    arms = [stream for stream in streams if stream.kind == "arm" and stream.urdf is not None]
+    x, y = size_m
+    wide = max(x, y)
+    return space_view(
+        name or f"Surface{''.join(f' and {arm.device}{simulated * arm.simulated}' for arm in arms)}",
+        [f"+ /{what}", *(f"+ /{root('display/arm', arm.device)}/**" for arm in arms)],
+        [x / 2 + 0.25 * wide, y / 2 - 1.05 * wide, (0.85 if arms else 0.75) * wide],
+        [x / 2, y / 2 + 0.05 * wide, (0.17 if arms else 0.0) * wide],
+        frame=SURFACE_FRAME,
+        floor=FLOOR,
+    )
+
+
+def _picture(path: str, name: str) -> rrb.View:
+    return rrb.Spatial2DView(contents=[f"+ /{path}"], name=name, background=PAPER)
 
 
 def log_exploration_start(
