@@ -27,10 +27,9 @@ from deformscope.cli import main
 from deformscope.images import PNG_SIGNATURE
 from deformscope.lab import container_setup, scene_lab, touch_lab
 from deformscope.recording.facts import read_facts, run_rrd
-from deformscope.recording.item_rows import read_rows
 from deformscope.recording.items import read_results
 from deformscope.recording.ledger import write_ledger
-from deformscope.recording.reader import Replay
+from deformscope.recording.reader import Replay, read_rows
 from deformscope.stages.map.measured import LookFrames, TouchFrames
 from deformscope.stages.squeeze.events import SqueezeEvents
 from deformscope.stages.squeeze.trial import SqueezePhase

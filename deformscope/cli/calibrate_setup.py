@@ -8,10 +8,9 @@ from deformscope.config import ArmConfig, CameraConfig, CertifyConfig, SetupOpti
 from deformscope.log.layout import RIG
 from deformscope.rig.rig_edit import lines_of
 from deformscope.rig.rig_file import load_rig
-from deformscope.runs.arm_calibration import touch_known
+from deformscope.runs.arm_calibration import set_up, touch_known, written_lines
 from deformscope.runs.calibration_tasks import TASKS
 from deformscope.runs.commissioning import commissioning_steps, next_step
-from deformscope.runs.rig_calibration import set_up, written_lines
 from deformscope.stages.setup.board import CharucoSpec, board_image
 
 

@@ -14,9 +14,8 @@ from deformscope.errors import InputError
 from deformscope.frames import HealthReport, SessionNote
 from deformscope.page.server.messages import Chapter, Playback
 from deformscope.page.server.page_server import PageServer
-from deformscope.recording.item_rows import Row, read_rows
 from deformscope.recording.items import read_streams
-from deformscope.recording.reader import Replay
+from deformscope.recording.reader import Replay, Row, read_rows
 from deformscope.stages.map.exploration import PhaseStart
 from deformscope.stages.squeeze.trial import SqueezePhase
 

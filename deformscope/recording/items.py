@@ -9,9 +9,8 @@ import numpy as np
 
 from deformscope.errors import InputError
 from deformscope.frames import HealthReport, Item, StageResult, Stream, host_ns
-from deformscope.recording.item_rows import Row, objects_of, read_rows
 from deformscope.recording.portions import item_size
-from deformscope.recording.reader import Replay
+from deformscope.recording.reader import Replay, Row, objects_of, read_rows
 from deformscope.rows import ENTITIES, OF_DEVICES, SERIES, from_components, from_json
 from deformscope.stages.fit.estimate import Estimate
 from deformscope.stages.fit.moment import MomentFit

@@ -17,8 +17,7 @@ from deformscope.log.over_picture import OF_APPLICATION, picture_views
 from deformscope.log.squeeze.results import squeeze_views
 from deformscope.log.stages import STAGE_VIEWS
 from deformscope.log.views import ShownStage, Views, stages_of
-from deformscope.recording.item_rows import read_rows
-from deformscope.recording.reader import Replay
+from deformscope.recording.reader import Replay, read_rows
 from deformscope.rows import ENTITIES
 
 PICTURES = (layout.IMAGES, layout.FLOW, layout.PAIR, layout.PAIR_3D, layout.FINDINGS)

@@ -21,10 +21,9 @@ from deformscope.arrays import IntArray
 from deformscope.errors import InputError
 from deformscope.frames import StageResult, Stream
 from deformscope.recording.export.manifest import SCHEMA_VERSION
-from deformscope.recording.item_rows import Starts, entity_parts, objects_of
 from deformscope.recording.items import KINDS as STAGE_KINDS
 from deformscope.recording.items import VALUES
-from deformscope.recording.reader import Replay
+from deformscope.recording.reader import Replay, Starts, entity_parts, objects_of
 from deformscope.results.render import quantities, to_json
 from deformscope.rows import ENTITIES, FRAMES, IMAGES, OF_DEVICES, SERIES, SHAPE, field_of, from_components, from_json
 from deformscope.stages.fit.estimate import Estimate

@@ -8,12 +8,11 @@ from typing import Any
 
 from deformscope.errors import InputError
 from deformscope.frames import SessionNote
-from deformscope.recording.item_rows import read_rows
 from deformscope.recording.items import read_found
 from deformscope.recording.ledger import check_recording, discards_of, read_ledger
 from deformscope.recording.lock import is_being_written
 from deformscope.recording.losses import named
-from deformscope.recording.reader import Replay
+from deformscope.recording.reader import Replay, read_rows
 from deformscope.recording.rrd_index import read_index
 from deformscope.results.render import HIGH, LOW, cells_of, to_cells
 from deformscope.stages.fit.estimate import Estimate

@@ -12,9 +12,8 @@ from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.experiments.live.device_stages import TOUCHING_N
 from deformscope.frames import ArmFrame, HandFrame, SessionNote, TactileFrame, WrenchFrame
-from deformscope.recording.item_rows import Row, read_rows
 from deformscope.recording.items import read_streams
-from deformscope.recording.reader import Replay
+from deformscope.recording.reader import Replay, Row, read_rows
 from deformscope.stages.map.exploration import PhaseStart
 from deformscope.stages.squeeze.events import EventRule, OnsetDetector
 

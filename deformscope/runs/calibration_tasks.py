@@ -20,7 +20,7 @@ from deformscope.rig.rig_edit import TomlValue
 from deformscope.rig.rig_file import Rig, load_rig
 from deformscope.robot.placement import Placement
 from deformscope.robot.setup import only_device
-from deformscope.runs.rig_calibration import Arrays, RigCalibrationResult, SetupTask, Station
+from deformscope.runs.arm_calibration import Arrays, RigCalibrationResult, SetupTask, Station
 from deformscope.session import RigExperiment
 from deformscope.stages.setup.board import CharucoSpec
 from deformscope.stages.setup.force import FreeAir, force_gain, free_air, hanging_weight, mount, pivot, tool_load

@@ -19,8 +19,7 @@ from deformscope.imports.import_map import ImportMap
 from deformscope.imports.inspect import TIMES, inspect, propose
 from deformscope.imports.readers import TABLE_TYPES, Reader, open_reader
 from deformscope.imports.source import ImportSource
-from deformscope.recording.item_rows import read_rows
-from deformscope.recording.reader import Replay
+from deformscope.recording.reader import Replay, read_rows
 from deformscope.runs.pair_calibration import arrays_bytes
 from deformscope.stages.materials.press_cycle import PressForce
 

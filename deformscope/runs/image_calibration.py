@@ -17,9 +17,8 @@ from deformscope.config import BetaConfig, ImageOptions, OutputOptions, ThetaCon
 from deformscope.config.flags import Selectable
 from deformscope.errors import InputError
 from deformscope.experiments.fit import calibration_inputs
-from deformscope.experiments.fit.foam_video import ParticleOptions, foam_video
 from deformscope.experiments.fit.push_force import PushOptions
-from deformscope.experiments.fit.whole_motion import whole_motion
+from deformscope.experiments.fit.whole_motion import ParticleOptions, foam_video, whole_motion
 from deformscope.file_io import SAMPLE_SCHEME, replacing
 from deformscope.files.sources import DEFAULT_FPS, Source, alike
 from deformscope.frames import ColorFrame, InputFile

@@ -18,9 +18,8 @@ from deformscope.config import MaterialOptions, OutputOptions, ViscousConfig, Yi
 from deformscope.errors import InputError
 from deformscope.experiments.fit import material_motion
 from deformscope.experiments.fit.calibration_inputs import images_of, mask_of, opened_images, particle_options
-from deformscope.experiments.fit.foam_video import ParticleOptions
 from deformscope.experiments.fit.material_motion import MaterialEstimate, MaterialFit
-from deformscope.experiments.fit.whole_motion import TrackedMotion
+from deformscope.experiments.fit.whole_motion import ParticleOptions, TrackedMotion
 from deformscope.file_io import ending_of, read_file
 from deformscope.files.motions import parse_motion
 from deformscope.files.pairs import parse_pair

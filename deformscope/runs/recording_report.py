@@ -18,9 +18,8 @@ from deformscope.pictures.messages import counted, format_iou, format_verdict
 from deformscope.pictures.recorded import Curves, cells_png, curves_png
 from deformscope.pictures.report import Figure, Part, ReportVerdict, Section, Table, html_report
 from deformscope.plain import Json
-from deformscope.recording.item_rows import Row, read_rows
 from deformscope.recording.items import read_estimates, read_stage_results
-from deformscope.recording.reader import BLOB, Replay
+from deformscope.recording.reader import BLOB, Replay, Row, read_rows
 from deformscope.recording.stages import RecordedStage, recorded_stages
 from deformscope.robot.squeeze_plan import CLOSING_AXES
 from deformscope.runs.result import LibraryResult

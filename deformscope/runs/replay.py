@@ -15,9 +15,8 @@ from deformscope.errors import InputError
 from deformscope.pictures.messages import format_failure
 from deformscope.pictures.report import Table
 from deformscope.plain import Json
-from deformscope.recording.item_rows import read_rows
 from deformscope.recording.items import ITEMS, read_estimates, read_streams
-from deformscope.recording.reader import Replay
+from deformscope.recording.reader import Replay, read_rows
 from deformscope.runs.replay_result import Different, ReplayResult, compare
 from deformscope.runs.skeleton import wait_for_enter
 from deformscope.stages.msm.quiet import quiet_warp
@@ -226,10 +225,9 @@ def _fits(recording: Replay, config: ReplayConfig, progress: Progress | None) ->
     """Estimates of a calibration, as recorded and computed again."""
     import msgspec
 
-    from deformscope.experiments.fit.foam_video import ParticleOptions
     from deformscope.experiments.fit.poke_files import LayersOptions
     from deformscope.experiments.fit.push_force import PushOptions
-    from deformscope.experiments.fit.whole_motion import Selectable
+    from deformscope.experiments.fit.whole_motion import ParticleOptions, Selectable
     from deformscope.runs.force_log import kept_force
     from deformscope.runs.image_calibration import run_images
     from deformscope.runs.pair_calibration import calibrate_pair_bytes

@@ -75,8 +75,8 @@ def squeeze_again(recording: "Replay") -> SqueezeAgain:
     from deformscope.experiments.squeeze.live import RecordedTracking
     from deformscope.experiments.squeeze.squeeze import posterior_of
     from deformscope.frames import ArmFrame, DepthFrame, HandFrame, TactileFrame
-    from deformscope.recording.item_rows import read_rows
     from deformscope.recording.items import read_results, read_streams
+    from deformscope.recording.reader import read_rows
     from deformscope.runs.squeeze_run import final_posterior, step_posterior
     from deformscope.stages.squeeze.events import EventRule
     from deformscope.stages.squeeze.placement import HandPlacement

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from scipy.stats import rankdata
 
 from deformscope.arrays import FloatArray
-from deformscope.experiments.fit.foam_video import ParticleOptions, hold_what_is_seen, observe, track
+from deformscope.experiments.fit.whole_motion import ParticleOptions, hold_what_is_seen, observe, track
 from deformscope.frames import ColorFrame
 from deformscope.images import encode_png
 from deformscope.recording.recorder import Recorder

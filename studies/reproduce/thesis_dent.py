@@ -97,7 +97,7 @@ def seen_dent(
 def with_tactile(seen_m: FloatArray, tactile_m: FloatArray) -> HeightProcess:
     """The surface through points that were seen (n, 3), whose noise is not known, and virtual ones (k, 3) [m].
 
-    One factor of all noise is learned. So the share of the virtual points is set anew until the learned noise at them
+    One factor of all noise is learned. So the share of the virtual points is set again until the learned noise at them
     is `TACTILE_NOISE_M`."""
     count, share = len(seen_m), np.ones(len(seen_m) + len(tactile_m))
     found = fit_surface(seen_m)

@@ -22,9 +22,9 @@ from deformscope.experiments.explore.touching_robot import TouchingRobot
 from deformscope.frames import ArmFrame, DepthFrame, Item, WrenchFrame
 from deformscope.lab.faults import CAMERA, Injected
 from deformscope.lab.touch_lab import TouchLab
-from deformscope.recording.item_rows import Row
 from deformscope.recording.items import read_items, read_results
 from deformscope.recording.ledger import check_recording
+from deformscope.recording.reader import Row
 from deformscope.recording.rrd_file import RecordingFile
 from deformscope.rig.source import RigSource
 from deformscope.robot.robot import Robot

@@ -20,9 +20,8 @@ from deformscope.files.classifier_file import save_classifier
 from deformscope.files.squeeze_dataset import SqueezeDataset
 from deformscope.frames import ArmFrame, DepthFrame, HandFrame, TactileFrame
 from deformscope.recording import items
-from deformscope.recording.item_rows import read_rows
 from deformscope.recording.items import read_items, read_results
-from deformscope.recording.reader import Replay
+from deformscope.recording.reader import Replay, read_rows
 from deformscope.rig.source import RigSource
 from deformscope.robot.squeeze_plan import draw_grasp
 from deformscope.robot.squeeze_setup import SqueezeSetup

@@ -17,8 +17,8 @@ from deformscope.log.exploration.display import summary
 from deformscope.log.exploration.results import exploration_blueprint, log_exploration_start, prepare_results
 from deformscope.log.layout import EXPLORATION, ExplorationLayout
 from deformscope.log.rig import Place, log_streams, prepare_items
-from deformscope.recording.item_rows import Row
 from deformscope.recording.items import read_items, read_results
+from deformscope.recording.reader import Row
 from deformscope.recording.recorder import Recorder
 from deformscope.rows import FORMAT
 from deformscope.session import Moment, Step

@@ -17,8 +17,7 @@ from deformscope.page.server.messages import Playback
 from deformscope.page.server.page_server import PageServer
 from deformscope.pictures import exploration as pictures
 from deformscope.pictures.figures import canvas
-from deformscope.recording.item_rows import Row
-from deformscope.recording.reader import Replay
+from deformscope.recording.reader import Replay, Row
 from deformscope.recording.recorder import Recorder
 from deformscope.runs.aligned import aligned_series, first_contact_ns
 from deformscope.stages.map.exploration import PhaseStart

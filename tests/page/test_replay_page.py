@@ -7,7 +7,7 @@ from deformscope.frames import SessionNote
 from deformscope.page.playback import chapters_of
 from deformscope.page.server.messages import Chapter, Playback
 from deformscope.page.server.page_server import PageServer
-from deformscope.recording.item_rows import Row
+from deformscope.recording.reader import Row
 from deformscope.stages.map.exploration import PhaseStart
 from deformscope.stages.squeeze.trial import SqueezePhase
 from tests.page.pages import get, page_script, root

@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deformscope.experiments.fit.foam_video import ParticleOptions, foam_video
+from deformscope.experiments.fit.whole_motion import ParticleOptions, foam_video
 from deformscope.files.sources import open_source
 from deformscope.frames import ColorFrame, StageCost
 from deformscope.log.views import SOMETIMES, ShownStage, stages_of
 from deformscope.processes import SPAWN
-from deformscope.recording.item_rows import read_rows
 from deformscope.recording.ledger import write_ledger
-from deformscope.recording.reader import Replay
+from deformscope.recording.reader import Replay, read_rows
 from deformscope.recording.recorder import Recorder
 from deformscope.recording.stages import recorded_stages, registries
 from deformscope.rows import ENTITIES

@@ -7,9 +7,8 @@ import pytest
 from deformscope.cli import main
 from deformscope.errors import InputError
 from deformscope.frames import RawBytes, TactileFrame, WrenchFrame
-from deformscope.recording.item_rows import read_rows
 from deformscope.recording.items import read_items
-from deformscope.recording.reader import Replay
+from deformscope.recording.reader import Replay, read_rows
 from deformscope.rig.rig_file import parse_rig
 from deformscope.rows import OF_DEVICES
 from tests.page.pages import page_script

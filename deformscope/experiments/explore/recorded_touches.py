@@ -20,9 +20,8 @@ from deformscope.experiments.explore.options import ExploreOptions
 from deformscope.experiments.live.device_stages import ALONG_WAY, ApproachChooser
 from deformscope.experiments.measured import FrameData, Looked, SetupGeometry, Touched
 from deformscope.frames import ArmFrame, DepthFrame, Frame, Item, WrenchFrame, host_ns
-from deformscope.recording.item_rows import read_rows
 from deformscope.recording.items import ItemSource, read_items, read_results, read_streams
-from deformscope.recording.reader import Replay
+from deformscope.recording.reader import Replay, read_rows
 from deformscope.recording.streams import RecordingTables
 from deformscope.rig.rig_file import Rig
 from deformscope.robot.placement import Placement

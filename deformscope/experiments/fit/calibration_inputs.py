@@ -11,8 +11,8 @@ import numpy as np
 from deformscope.arrays import ImageArray
 from deformscope.config import BetaConfig, ImageOptions, MaterialOptions, ThetaConfig
 from deformscope.config.images import ParticleFlags
-from deformscope.experiments.fit.foam_video import ParticleOptions
 from deformscope.experiments.fit.push_force import PushOptions
+from deformscope.experiments.fit.whole_motion import ParticleOptions
 from deformscope.file_io import SAMPLE_SCHEME, sample_path
 from deformscope.files.sources import Source, open_source
 from deformscope.images import read_image

@@ -9,8 +9,7 @@ import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.experiments.fit.foam_video import ParticleOptions, last_pose
-from deformscope.experiments.fit.whole_motion import TrackedMotion, tracked_motion
+from deformscope.experiments.fit.whole_motion import ParticleOptions, TrackedMotion, last_pose, tracked_motion
 from deformscope.session import Experiment, Step
 from deformscope.stages.fit.doubts import little_explained
 from deformscope.stages.fit.estimate import Comparison, NoiseSource

@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from deformscope.arrays import FloatArray, ImageArray, IntArray
 from deformscope.errors import InputError
-from deformscope.experiments.fit.foam_video import ParticleOptions, hold_what_is_seen, observe
+from deformscope.experiments.fit.whole_motion import ParticleOptions, hold_what_is_seen, observe
 from deformscope.frames import (
     ArmFrame,
     ColorFrame,

@@ -12,7 +12,7 @@ and never in advance. A velocity lasts only as long as its sender renews it:
 A process that is killed outright (SIGKILL) can erase nothing. The arm then carries out the waiting points: one or two
 velocity points, that is 20 ms of motion. An arm on its way home goes on.
 
-The arm is brought up, and let go again, in the order that the vendor's own driver keeps."""
+The arm is brought up, and released again, in the order that the vendor's own driver keeps."""
 
 import contextlib
 import socket

@@ -8,7 +8,7 @@ from scipy.interpolate import RBFInterpolator
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.experiments.fit.foam_video import ParticleOptions, foam_video
+from deformscope.experiments.fit.whole_motion import ParticleOptions, foam_video
 from deformscope.frames import ColorFrame
 from deformscope.session import Step
 from deformscope.stages.fit.calibrate import Calibration, FitOptions, Model

@@ -5,8 +5,8 @@ import pytest
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.experiments.fit.foam_video import ParticleOptions
 from deformscope.experiments.fit.whole_motion import (
+    ParticleOptions,
     Selectable,
     Selection,
     TrackedMotion,

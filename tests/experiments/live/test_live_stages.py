@@ -16,7 +16,7 @@ import pytest
 
 from deformscope.arrays import ImageArray
 from deformscope.errors import InputError
-from deformscope.experiments.fit.foam_video import ParticleOptions
+from deformscope.experiments.fit.whole_motion import ParticleOptions
 from deformscope.experiments.live.device_stages import (
     ApproachChooser,
     Chooser,
