@@ -49,6 +49,7 @@ from deformscope.stages.poke.indentation import IndentEstimate
 from deformscope.stages.see.flow import FlowField
 from deformscope.stages.see.particles import ParticleGrid, Tracked
 from deformscope.stages.see.triangulation import raster, spacing_of, triangulate
+from deformscope.stages.setup.wrench import WrenchWorth
 
 FLOW, PARTICLES, TRACKING, SIMULATION, ESTIMATE, FINDINGS = (
     ShownStage(name, 3, gives, entity=entity)
@@ -194,7 +195,7 @@ def picture_views(canvas: Canvas) -> Views[rr.RecordingStream]:
         Findings: (FINDINGS, findings),
         RigFindings: (FINDINGS, lambda rec, one: log_findings(rec, one.found, rig_blueprint(one.streams))),
         IndentEstimate: (CURVES, partial(log_numbers, canvas=canvas)),
-        **dict.fromkeys((AxisEstimate, FieldEstimate, YieldEstimate, RecoveryEstimate, RigBias), numbers),
+        **dict.fromkeys((AxisEstimate, FieldEstimate, YieldEstimate, RecoveryEstimate, RigBias, WrenchWorth), numbers),
     }
 
 

@@ -77,11 +77,11 @@ def redecoder_of(stream: Stream, config: object) -> Redecoder | None:
 
 
 class _Check:
-    """One device's bytes and frames, which belong together by their time of arrival."""
+    """One device's bytes and frames, which belong together by their time of arrival. of: devices of which it reads"""
 
-    def __init__(self, stream: Stream, config: object) -> None:
+    def __init__(self, stream: Stream, config: object, *of: "_Check") -> None:
         self.health: Health | None = None
-        self._stream = stream
+        self._stream, self._of = stream, (self, *of)
         self._again = redecoder_of(stream, config)
         self._decoder = None if self._again is None else self._again.begin()
         self._now_ns = 0
@@ -124,29 +124,23 @@ class _Check:
             self._now_ns = self._recorded[-1].stamp.arrived_ns
             self._settle()
         stream = self._stream
-        left_out = self._again.left_out if self._again is not None else ""
-        if self._again is None:
-            missing = stream.driver and stream.driver not in DRIVERS
-            left_out = f"no package of driver {stream.driver} is installed" if missing else "its driver gives no bytes"
-        elif not self._pieces:
+        left_out = self._again.left_out if self._again else "" if self._compared else "its driver gives no bytes"
+        if stream.driver and stream.driver not in DRIVERS:
+            left_out = f"no package of driver {stream.driver} is installed"
+        elif self._again is not None and not self._pieces:
             left_out = "its bytes were not recorded"
-        elif self.health is not None:
+        elif self._again is not None and self.health is not None:
             counted = self.health.skipped_bytes
             # what a lost link cuts off is counted or not, and late answers are counted by another way
             other = self._skipped > counted if self._again.late_answers else self._skipped != counted
             if self._steady and other and not self._difference:
                 self._difference = f"{self._skipped} bytes of {stream.device} outside any frame; {counted} were counted"
-            left_out = self.excused() or left_out
-        return DeviceComparison(stream.device, stream.driver, self._frames, self._compared, left_out, self._difference)
-
-    def excused(self, *others: Health | None) -> str:
-        """What the difference means where readings were dropped, which then is none. others: health of other devices"""
-        known = [one for one in (self.health, *others) if one is not None]
+        known = [one.health for one in self._of if one.health is not None]
         dropped = sum(one.dropped + one.extra.get(RAW_DROPPED, 0) for one in known)
-        if not (dropped and self._difference):
-            return ""
-        difference, self._difference = self._difference, ""
-        return f"data after {difference}: {dropped:g} readings or pieces of bytes were dropped"
+        if dropped and self._difference:
+            left_out = f"data after {self._difference}: {dropped:g} readings or pieces of bytes were dropped"
+            self._difference = ""
+        return DeviceComparison(stream.device, stream.driver, self._frames, self._compared, left_out, self._difference)
 
     def _settle(self) -> None:
         """Compare the items of one moment. Frames of a device with corrected stamps come before their bytes."""
@@ -171,8 +165,8 @@ class _OwnCheck(_Check):
     """The same for an arm's own force, which comes of the states of the arm. arm: the arm's check"""
 
     def __init__(self, stream: Stream, own: ArmWrench, chain: Any, arm: _Check) -> None:
-        super().__init__(stream, None)
-        self._own, self._chain, self._arm = own, chain, arm
+        super().__init__(stream, None, arm)
+        self._own, self._chain = own, chain
         self._states: deque[ArmFrame] = deque(maxlen=MOST_STATES)
 
     def take(self, item: Frame | RawBytes | LinkChange) -> None:
@@ -197,12 +191,6 @@ class _OwnCheck(_Check):
         if wrong == OWN[-1] and self._compared > ZERO_READINGS:  # unless its zero was taken here: that is not recorded
             wrong = _other(frame, to_frame("wrench", self._own.zeroed(reading), 0, device, None), OWN)
         self._difference = wrong and f"another {wrong} of frame {frame.index} of {device}"
-
-    def result(self) -> DeviceComparison:
-        left_out = self.excused(self._arm.health)
-        if self._recorded and not (left_out or self._difference):
-            left_out = f"{len(self._recorded)} frames, of which no state of the arm was recorded"
-        return replace(super().result(), left_out=left_out)
 
 
 def _other(frame: Frame, again: Frame, names: Sequence[str]) -> str:

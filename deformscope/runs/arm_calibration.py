@@ -8,7 +8,7 @@ import dataclasses
 import datetime
 import json
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from importlib import resources
@@ -29,7 +29,7 @@ from deformscope.experiments.rig import arm_compliance
 from deformscope.experiments.rig.rig_calibration import Assistant, SetupRequest
 from deformscope.file_io import nearest, read_file, replacing
 from deformscope.files.arrays_file import read_arrays
-from deformscope.frames import InputFile
+from deformscope.frames import ArmFrame, InputFile
 from deformscope.lab.rig_members import member_of
 from deformscope.lab.session_errors import LabErrors
 from deformscope.log.findings import RigFindings
@@ -38,8 +38,9 @@ from deformscope.pictures.messages import counted
 from deformscope.pictures.report import Figure, Findings, Table
 from deformscope.pictures.setup import compliance_png, off_figure
 from deformscope.plain import plain
-from deformscope.recording.items import read_found
+from deformscope.recording.items import read_found, read_items, read_streams
 from deformscope.recording.reader import Replay
+from deformscope.rig.measured import state_of
 from deformscope.rig.rig_edit import Values, edited, lines_of
 from deformscope.rig.rig_file import Rig, Tool, load_rig
 from deformscope.rig.source import RigSource
@@ -48,7 +49,7 @@ from deformscope.robot.setup import ROLES, RigParts, only_device, open_rig
 from deformscope.rows import from_json, to_json
 from deformscope.runs.indentation import curve_files, curves_png, kept_curves, shown_rows
 from deformscope.runs.opened_devices import LAB, Opening, setup_of, table_of
-from deformscope.runs.replay_result import compare
+from deformscope.runs.replay_result import Different, compare
 from deformscope.runs.result import open_recorder, settings_of
 from deformscope.runs.skeleton import RunOperator, at_terminal, leave_arm, open_rig_run, permitted
 from deformscope.session import RigExperiment, Step, run
@@ -60,18 +61,18 @@ from deformscope.stages.poke.certificate import TOLERANCE, KnownSample, RigBias,
 from deformscope.stages.poke.contact import Z_90, ArmCompliance
 from deformscope.stages.poke.indentation import IndentCurve, IndentSample
 from deformscope.stages.poke.tip_law import Ground, Indenter
-from deformscope.stages.setup.wrench import PARTS, wrench_worth
+from deformscope.stages.setup.wrench import PARTS, WrenchWorth, wrench_worth
 from deformscope.terminal import Interruption, say, until_interrupted
 from deformscope_drivers.arm import Arm, ArmState
 from deformscope_drivers.arm.kinematics import Chain
 from deformscope_drivers.arm.wrench import ArmWrenchConfig, low_pass_share, pose_terms, reported_n, way_terms
+from deformscope_drivers.interface import DRIVERS
 from deformscope_drivers.subscription import Subscription
 
 if TYPE_CHECKING:
     from deformscope.config import SetupOptions
     from deformscope.lab.randomized_rig import SimulatedHand
     from deformscope.recording.recorder import Recorder
-    from deformscope.rig.source import RigSource
 
 M = TypeVar("M")
 Arrays = Mapping[str, npt.NDArray[Any]]
@@ -244,9 +245,7 @@ def _simulated(hand: "SimulatedHand", asked: Interruption) -> Assistant:
     return does
 
 
-if TYPE_CHECKING:
-    from deformscope.recording.recorder import Recorder
-
+Recording = AbstractContextManager["Recorder"]
 POISSON = (0.48, 0.5)
 """Range of Poisson's ratio of silicones [assumed: nearly incompressible]."""
 LEAST_HALF_DEG, MOST_STATES = 2.0, 1 << 20
@@ -302,9 +301,7 @@ def touch_known(config: ArmConfig | WrenchConfig | CertifyConfig) -> RigCalibrat
     return certify(config, opening, recorder)
 
 
-def calibrate_arm(
-    config: ArmConfig, opening: Opening, recording: "AbstractContextManager[Recorder]"
-) -> RigCalibrationResult:
+def calibrate_arm(config: ArmConfig, opening: Opening, recording: Recording) -> RigCalibrationResult:
     """Touch a rigid block several times, and write the compliance into the rig file unless --no-write is given."""
     setup, options = opening.setup, opening.options
     xy_m = np.array(config.at) if config.at is not None else 0.5 * np.array(setup.size_m)
@@ -324,15 +321,10 @@ def calibrate_arm(
 
     known = {name: there for name, there in setup.calibrated.items() if "compliance" not in name}
     places_m = np.tile(xy_m, (config.touches, 1))
-    found = _touched_result(config, opening, recording, known, places_m, touched, result)
-    if config.write and not config.rig.startswith(LAB):
-        write_values(Path(config.rig), found.dated)
-    return found
+    return _touched_result(config, opening, recording, known, places_m, touched, result)
 
 
-def calibrate_wrench(
-    config: WrenchConfig, opening: Opening, recording: "AbstractContextManager[Recorder]"
-) -> RigCalibrationResult:
+def calibrate_wrench(config: WrenchConfig, opening: Opening, recording: Recording) -> RigCalibrationResult:
     """Move above the surface, and write what the arm's own force is worth into the rig file unless --no-write is
     given."""
     setup = opening.setup
@@ -351,18 +343,17 @@ def calibrate_wrench(
 
     def result() -> RigCalibrationResult:
         ((arm, states),) = heard
-        return _wrench(states.take(), arm.chain, opening, config.rig)
+        filter_hz = (setup.own_wrench or ArmWrenchConfig()).filter_hz
+        return learned_wrench(states.take(), arm.chain, filter_hz, setup.placement.tool, setup.names[1])
 
     made: list[float] = []
-    found = _touched_result(config, opening, recording, setup.calibrated, places_m, touched, result, begun=begun)
-    if config.write and not config.rig.startswith(LAB):
-        write_values(Path(config.rig), found.dated)
-    return found
+    return _touched_result(config, opening, recording, setup.calibrated, places_m, touched, result, begun=begun)
 
 
-def _wrench(states: Sequence[ArmState], chain: Chain, opening: Opening, rig: str) -> RigCalibrationResult:
-    report = opening.setup.own_wrench
-    assert report is not None
+def learned_wrench(
+    states: Sequence[ArmState], chain: Chain, filter_hz: float, tool: Tool, name: str
+) -> RigCalibrationResult:
+    """What an arm's own force is worth in these states. filter_hz: limit of its low pass; name: of its device"""
     joints_deg = np.array([state.joints_deg for state in states])
     middle, half = 0.5 * (joints_deg.max(axis=0) + joints_deg.min(axis=0)), 0.5 * np.ptp(joints_deg, axis=0)
     half = np.maximum(half, LEAST_HALF_DEG)
@@ -372,15 +363,15 @@ def _wrench(states: Sequence[ArmState], chain: Chain, opening: Opening, rig: str
     for turned_deg in np.diff(joints_deg, axis=0):
         ways.append(way_terms(ways[-1], turned_deg))
     terms = pose_terms(joints_deg, middle, half), np.array(ways)
-    share = low_pass_share(report.filter_hz, (len(time_s) - 1) / float(np.ptp(time_s)))
+    share = low_pass_share(filter_hz, (len(time_s) - 1) / float(np.ptp(time_s)))
     worth = wrench_worth(time_s - time_s[0], force_n, *terms, singular, share)
-    tool = replace(opening.setup.placement.tool, force_noise_n=worth.smooth_n, force_off_n=worth.off_n)
+    tool = replace(tool, force_noise_n=worth.smooth_n, force_off_n=worth.off_n)
     known = {"force_noise_n": worth.smooth_n, "force_off_n": worth.off_n}
     turned = np.eye(3) if tool.T_ee_tip is None else np.array(tool.T_ee_tip)[:3, :3].T
     values: dict[str, Any] = {
-        f"devices.{opening.setup.names[1]}": {
+        f"devices.{name}": {
             "driver": "arm",
-            "filter_hz": report.filter_hz,
+            "filter_hz": filter_hz,
             "least_singular": worth.least_singular,
             "middle_deg": middle.tolist(),
             "half_deg": half.tolist(),
@@ -390,7 +381,7 @@ def _wrench(states: Sequence[ArmState], chain: Chain, opening: Opening, rig: str
         "tool": {**known, "R_tip_force": turned.tolist()},
     }
     rows = (
-        ("noise", f"{worth.noise_n:.2f} N a report, {worth.smooth_n:.2f} N behind {report.filter_hz:g} Hz"),
+        ("noise", f"{worth.noise_n:.2f} N a report, {worth.smooth_n:.2f} N behind {filter_hz:g} Hz"),
         ("within a touch", f"off by {worth.off_n:.2f} N (one deviation), {worth.raw_off_n:.2f} N without correction"),
         ("friction", f"{np.abs(terms[1] @ worth.friction_n).max():.2f} N at most, by the joints' directions"),
         ("used", f"where the Jacobian's least singular value is {worth.least_singular:.3f} or more"),
@@ -401,13 +392,16 @@ def _wrench(states: Sequence[ArmState], chain: Chain, opening: Opening, rig: str
     text = "Own force without contact, as the other parts predict it"
     figure = off_figure(worth.left_n, names, "N", worth.off_n, each=each, caption=text)
     found = {**known, "resolved_n": tool.resolved_n, "raw_off_n": worth.raw_off_n, "zeros": worth.zeros}
-    return RigCalibrationResult("wrench", values, rows, figure, found | {"least_singular": worth.least_singular})
+    found |= {"least_singular": worth.least_singular}
+    during = len(states), states[0].stamp.host_ns, states[-1].stamp.host_ns, filter_hz
+    kept = InputFile("states", to_json(during).encode()), Step((worth,))
+    return RigCalibrationResult("wrench", values, rows, figure, found, kept)
 
 
 def _touched_result(
     config: ArmConfig | WrenchConfig | CertifyConfig,
     opening: Opening,
-    recording: "AbstractContextManager[Recorder]",
+    recording: Recording,
     calibrated: Mapping[str, bool],
     places_m: FloatArray,
     touched: Callable[[TouchMeasurement, float], str],
@@ -449,6 +443,10 @@ def _touched_result(
     if found is None:
         touches = 0 if stop is None else stop.touch
         leave_arm(stop, touches, asked, recorder.summary().path, arm_stopped=watch.arm_stopped)
+    if isinstance(config, CertifyConfig) and config.save:
+        write_values(Path(config.rig), found.values)
+    elif not isinstance(config, CertifyConfig) and config.write and not config.rig.startswith(LAB):
+        write_values(Path(config.rig), found.dated)
     return found
 
 
@@ -532,9 +530,7 @@ def plan_touches(known: KnownSample, touches: int, size_m: tuple[float, float], 
     return [places_m, min(full, most_n) * np.where(np.arange(touches) % 2 == 0, 1.0, SHALLOW)]
 
 
-def certify(
-    config: CertifyConfig, opening: Opening, recording: "AbstractContextManager[Recorder]"
-) -> RigCalibrationResult:
+def certify(config: CertifyConfig, opening: Opening, recording: Recording) -> RigCalibrationResult:
     """Touch a sample of known modulus, and write the rig's certificate into its file where that is asked for."""
     setup, tool, curves = opening.setup, opening.setup.placement.tool, list[IndentCurve]()
     known = known_sample(config, opening)
@@ -573,17 +569,27 @@ def certify(
         return RigCalibrationResult("certificate", sections, tuple(rows), figure, found_json, kept)
 
     given = setup.calibrated, places_m, touched, result, forces_n.tolist()
-    found = _touched_result(config, opening, recording, *given)
-    if config.save:
-        write_values(Path(config.rig), found.values)
-    return found
+    return _touched_result(config, opening, recording, *given)
 
 
-def replay_certificate(recording: Replay) -> bool:
-    """Compare a recorded certificate with that of its touches, computed again; False: it has none. Raises Different."""
-    if "known" not in (inputs := recording.read_inputs()):
-        return False
-    known, given = from_json(tuple[KnownSample, tuple[float, ...]], inputs["known"].decode())
-    found = replace(certify_rig(kept_curves(recording), known, given), curves=())
-    compare(read_found(recording, RigBias), [found], recording.path)
-    return True
+def replay_found(recording: Replay, rig: Rig | None) -> str:
+    """Compare a recorded certificate or worth of an arm's own force with that computed again; its name, empty: it has
+    none. Raises Different."""
+    if "known" in (inputs := recording.read_inputs()):
+        known, given = from_json(tuple[KnownSample, tuple[float, ...]], inputs["known"].decode())
+        found = replace(certify_rig(kept_curves(recording), known, given), curves=())
+        compare(read_found(recording, RigBias), [found], recording.path)
+        return "the certificate computed again from its touches"
+    if "states" not in inputs:
+        return ""
+    count, first_ns, last_ns, filter_hz = from_json(tuple[int, int, int, float], inputs["states"].decode())
+    arm = next(one for one in read_streams(recording.path, trust=True) if one.kind == "arm")
+    driver = DRIVERS[arm.driver]
+    config = next((one.config for one in (rig.devices if rig else ()) if one.name == arm.device), driver.config())
+    frames = cast("Iterator[ArmFrame]", read_items(recording.path, trust=True, kinds=(ArmFrame,)))
+    states = [one for one in map(state_of, frames) if first_ns <= one.stamp.host_ns <= last_ns]
+    if len(states) != count:
+        raise Different(f"the {count} states of the arm in its motion", str(len(states)), where=recording.path)
+    again = learned_wrench(states, cast(Chain, driver.chain(config, arm.urdf)), filter_hz, Tool(), "")
+    compare(read_found(recording, WrenchWorth), cast(Step, again.kept[1]).results, recording.path)
+    return "the worth of the arm's own force computed again from its states"

@@ -317,11 +317,11 @@ def _replay_rig(recording: Replay) -> ReplayResult:
         if wrong:
             came = ", ".join(f"{name} that differs by {share:.2g}" for name, share in wrong.items())
             different = Different("the recorded results of every stage, to the last bit", came, where=path)
-    from deformscope.runs.arm_calibration import replay_certificate
+    from deformscope.runs.arm_calibration import replay_found
 
     try:
-        if replay_certificate(recording):
-            notes = (*notes, "replay: the certificate computed again from its touches, identical to the recorded one")
+        if again := replay_found(recording, rig):
+            notes = (*notes, f"replay: {again}, identical to the recorded one")
     except Different as error:
         different = error
     if differences := [one.difference for one in found if one.difference]:

@@ -65,9 +65,10 @@ def test_it_does_not_move_before_its_own_force_is_calibrated(rig: Path, capsys: 
 @pytest.mark.slow  # two minutes of an arm in free air
 def test_a_rig_without_a_force_sensor_explores_and_replays(rig: Path, tmp_path: Path, capsys: Capture) -> None:
     found, record = tmp_path / "found.json", tmp_path / "r.rrd"
-    assert main(["calibrate", "wrench", str(rig), "--viewer", "none", "--json", str(found)]) == 0, (
-        capsys.readouterr().err
-    )
+    flags = ["--viewer", "none", "--json", str(found), "--record", str(tmp_path / "w.rrd")]
+    assert main(["calibrate", "wrench", str(rig), *flags]) == 0, capsys.readouterr().err
+    assert main(["replay", str(tmp_path / "w.rrd")]) == 0
+    assert "the worth of the arm's own force computed again from its states, identical" in capsys.readouterr().err
     worth: dict[str, Any] = json.loads(found.read_text())
     assert 0.05 < worth["force_off_n"] < 0.3 < worth["raw_off_n"], "friction and bias are of half a newton and more"
     read = load_rig(rig)
