@@ -353,7 +353,7 @@ def calibrate_wrench(config: WrenchConfig, opening: Opening, recording: Recordin
 def learned_wrench(
     states: Sequence[ArmState], chain: Chain, filter_hz: float, tool: Tool, name: str
 ) -> RigCalibrationResult:
-    """What an arm's own force is worth in these states. filter_hz: limit of its low pass; name: of its device"""
+    """What an arm's own force is worth in these states. filter_hz: limit of its low pass; name: its device"""
     joints_deg = np.array([state.joints_deg for state in states])
     middle, half = 0.5 * (joints_deg.max(axis=0) + joints_deg.min(axis=0)), 0.5 * np.ptp(joints_deg, axis=0)
     half = np.maximum(half, LEAST_HALF_DEG)
