@@ -246,12 +246,13 @@ class SimulationResult(SourceResult):
         for values, mark, colour, name in moved:
             if values is not None:
                 right.plot(along, 1e3 * values[near, 2], mark, ms=4, color=colour, label=name)
-        low, high = 1e3 * (self.mesh.axes[0][[0, -1]] - seen.at[0])
+        low, high = np.clip(1e3 * (self.mesh.axes[0][[0, -1]] - seen.at[0]), along.min() - 1.0, along.max() + 1.0)
         right.set(xlabel="along x from the tip's axis [mm]", ylabel="height change [mm]", xlim=(low, high))
         for axes in (left, right):
             axes.grid(alpha=0.3)
-            axes.legend(fontsize=8, loc="lower right")
-        figure.suptitle(poke.name, fontsize=9)  # of the picture: a view has one name for all frames
+            axes.legend(fontsize=8, loc="best")
+        material = f", region {poke.material}" * bool(self.fit.parameters.ratios)
+        figure.suptitle(poke.name + material, fontsize=9)  # of the picture: a view has one name for all frames
         return Figure(png_of(figure, 120), "force over depth, and a cut through the dent")
 
 
@@ -315,13 +316,15 @@ def simulate(config: SimulateConfig, progress: Progress | None = None) -> Simula
         timestep_s=timestep_s,
         seconds=time.monotonic() - began,
     )
+    moduli = 1e-3 * np.array(found.parameters.moduli)[np.pad(mesh.material, (0, 1), mode="edge").ravel()]
+    firm = [ColoredBody(f"{config.target}: modulus [kPa]", mesh.vertices, moduli)][: len(ratios)]
     with open_recorder(config.output, settings, FINDINGS.variant("simulate")) as recorder:
         for number, (one, figure) in enumerate(zip(result.pokes, result.figures(), strict=True)):
             moved_mm = 1e3 * np.linalg.norm(one.answer.moved, axis=1)
             position = one.answer.rest + one.answer.moved
             shown = ColoredBody(f"{config.target}: vertices by their displacement [mm]", position, moved_mm)
-            bodies = (shown, result.surfaces(one))
-            recorder.write(Step((Findings(result.tables(), (figure,), bodies),), frame=number))
+            bodies: list[Any] = [shown, *firm, result.surfaces(one)]
+            recorder.write(Step((Findings(result.tables(), (figure,), tuple(bodies)),), frame=number))
     return replace(result, recording=recorder.summary())
 
 

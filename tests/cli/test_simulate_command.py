@@ -336,12 +336,25 @@ def test_each_region_of_a_recording_is_a_material(folder: Path, poked: bool, tmp
         for at, one in enumerate((*touches, maps), start=2):
             recorder.write(Step((one,), moment=Moment(at, 1, at, maps.cell_m)))
     flags = ["--in", "mujoco", "--python", str(folder / "python"), "--tip", "sphere:0.02", *QUIET]
-    assert main(["simulate", str(record), *flags, "--out", str(tmp_path / "two"), "--json", "-"]) == 0
+    shown = tmp_path / "shown.rrd"
+    flags += ["--out", str(tmp_path / "two"), "--json", "-", "--record", str(shown)]
+    assert main(["simulate", str(record), *flags]) == 0
     told = json.loads(capsys.readouterr().out)
     first, second = told["materials"]
     assert second["young_pa"] / first["young_pa"] == pytest.approx(3.0 if poked else 2.0, rel=0.05)
     assert [one["fitted_pokes"] for one in told["materials"]] == ([2, 1] if poked else [2, 0])
     assert told["determined"]["ratio 1"] is poked
+    at = np.array(values(shown, "/found/body/1", "Points3D:positions", 0))
+    modulus = np.array(values(shown, "/found/body/1", "value", 0))
+    needed = 1e-3 * np.array([first["young_pa"], second["young_pa"]])
+    far = np.abs(at[:, 0] - 0.11) > 0.011  # a cell holds the line
+    np.testing.assert_allclose(modulus[far], needed[(at[far, 0] > 0.11).astype(int)], rtol=1e-6)
+    assert (at[far, 0] > 0.11).any()
+    tints = np.array(values(shown, "/found/body/1", "Points3D:colors", 0))
+    assert len(np.unique(tints)) == 2
+    assert len(np.unique(tints[far & (at[:, 0] > 0.11)])) == 1
+    names = values(shown, "/found/body/2/legend/label", "Points3D:labels", 0)
+    assert names == ["measured", "mujoco"]
     body = ET.parse(tmp_path / "two" / "slab.xml").getroot()
     for flex in body.iter("flex"):
         needed = told["materials"][int(flex.attrib["name"].removeprefix("material").partition("_")[0])]["young_pa"]
