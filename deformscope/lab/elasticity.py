@@ -238,7 +238,7 @@ def dissected(nodes: FloatArray, axes: tuple[FloatArray, ...]) -> IntArray:
     def parted(some: IntArray) -> list[IntArray]:
         """The nodes at indices (n,) in the order of elimination: parts on both sides of a plane of nodes, then that
         plane."""
-        low, high = plane[some].min(axis=0), plane[some].max(axis=0)
+        low, high = plane[some].min(axis=0, initial=plane.max(initial=0)), plane[some].max(axis=0, initial=0)
         d = int(np.argmax(high - low))
         cut = (low[d] + high[d]) // 2 | 1
         if len(some) <= 3 * LEAF or not low[d] < cut < high[d]:

@@ -176,6 +176,15 @@ def test_one_factorisation_serves_many_displacements_and_conjugate_gradients_agr
     np.testing.assert_allclose(together.displacement[1], -2.0 * together.displacement[0], atol=1e-14)
 
 
+def test_a_box_that_is_held_everywhere_has_the_forces_of_its_strain() -> None:
+    """Without a free node there is nothing to solve."""
+    box, poisson, strain = uneven_box(0.3), 0.3, 0.01
+    found = box.hold(np.ones(box.nodes.shape, bool)).solve(box.nodes * [strain, 0.0, 0.0])
+    stress = YOUNG * (1.0 - poisson) / ((1.0 + poisson) * (1.0 - 2.0 * poisson)) * strain
+    end = box.plane(0, box.axes[0][-1])
+    assert found.force[end, 0].sum() == pytest.approx(stress * np.ptp(box.axes[1]) * np.ptp(box.axes[2]), rel=1e-9)
+
+
 def test_what_cannot_be_solved_is_refused() -> None:
     axis = np.linspace(0.0, 0.1, 3)
     box = ElasticBox(axis, axis, axis, young=1e4, poisson=0.3)
