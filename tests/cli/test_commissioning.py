@@ -21,7 +21,7 @@ from tests.cases import Capture, Patch
 from tests.cli.rig_on_a_simulated_clock import use_a_simulated_clock
 from tests.verified import verify_here
 
-SCENE, HIDDEN = "two-60-150", 3
+SCENE, HIDDEN = "two-60-150", 2
 
 
 def doctors_next(rig: Path, capsys: Capture) -> str:

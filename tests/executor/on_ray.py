@@ -6,7 +6,6 @@ python -m tests.executor.on_ray FOLDER small|typed|computed
 
 import json
 import os
-import resource
 import subprocess
 import sys
 import tempfile
@@ -28,6 +27,7 @@ from deformscope.executor.local import open_workers
 from deformscope.executor.tasks import OtherVersion, TaskOutcome, compute, run_attempt
 from deformscope.file_io import sample_path
 from deformscope.files.result_table import read_table
+from tests.peak_memory import peak_mib
 
 TYPED = {name: value for name, value in os.environ.items() if not name.startswith("RAY_")}
 """The environment of a shell."""
@@ -148,7 +148,7 @@ def computed(cluster: Cluster, node: dict[str, object], folder: str) -> dict[str
         "processes": len({one.value[1] for one in found.values() if one.value is not None}),
         "other": other,
         "swept": files,
-        "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3,
+        "peak_mib": peak_mib(),
     }
 
 

@@ -83,7 +83,7 @@ def test_a_worker_of_another_version_is_named(told: dict[str, Any]) -> None:
 
 @pytest.mark.slow
 def test_the_memory_of_whoever_asks_is_bounded(told: dict[str, Any]) -> None:
-    assert told["peak_mb"] < 500
+    assert told["peak_mib"] < 500
 
 
 @pytest.mark.skipif(HAS_RAY, reason="Ray is installed")

@@ -409,10 +409,11 @@ def test_a_pose_and_another_clock_are_asked_for_by_name(tmp_path: Path, capfd: p
 
 
 MEMORY = """
-import resource, sys
+import sys
 from deformscope.cli import main
+from tests.peak_memory import peak_mib
 assert main(["import", *sys.argv[1:]]) == 0
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+print(peak_mib())
 """
 
 

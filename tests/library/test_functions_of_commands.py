@@ -95,8 +95,7 @@ def test_viscous_is_the_command(capsys: Capture) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "sample"),
-    [("both", "sample:pair"), ("axes", "sample:pair"), ("field", "sample:pair"), ("yield", "sample:press")],
+    ("name", "sample"), [("axes", "sample:pair"), ("field", "sample:pair"), ("yield", "sample:press")]
 )
 def test_calibrations_are_the_commands(name: str, sample: str, capsys: Capture) -> None:
     found = getattr(ds, f"calibrate_{name}")(sample)

@@ -628,13 +628,14 @@ def test_the_plots_in_the_docs_are_drawn(library: str, tmp_path: Path, monkeypat
 
 
 LONG = """
-import resource, sys
+import sys
 from pathlib import Path
 from deformscope.recording.export.export import ExportRequest, export
 from deformscope.recording.reader import Replay
+from tests.peak_memory import peak_mib
 path, to, out = Path(sys.argv[1]), sys.argv[2], Path(sys.argv[3])
 export(Replay(path, trust=True), ExportRequest(to=to, folder=out), lambda *_: None)
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+print(peak_mib())
 """
 
 

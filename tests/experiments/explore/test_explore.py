@@ -211,7 +211,8 @@ def test_results_of_a_touch_say_which_and_when_its_dent_was_seen(monkeypatch: py
     use_coarse_maps(monkeypatch)
 
     class Once:
-        look = LabRobot(built_in("two-60-150", 0), ExploreOptions(beta_model="none"), sees=False).look
+        inner = LabRobot(built_in("two-60-150", 0), ExploreOptions(beta_model="none"), sees=False)
+        look = inner.look
 
         def touch(self, command: Touch) -> TouchMeasurement:
             return dataclasses.replace(self.inner.touch(command), seen_ns=40)
