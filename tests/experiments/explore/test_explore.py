@@ -318,8 +318,8 @@ def test_beta_comes_with_a_verdict_and_the_maps_with_its_field() -> None:
 
 @pytest.mark.slow  # several whole touches
 def test_it_goes_on_where_it_is_told_to() -> None:
-    """A gradient is soon known; the plan still says that it would stop."""
-    _, moments = explored("gradient", budget=6, go_on=True)
+    """A gradient is soon known where only large inclusions are sought; the plan still says that it would stop."""
+    _, moments = explored("gradient", budget=6, go_on=True, inclusion_m=0.15)
     plans = of(PlannedTouch, moments)
     assert len(of(TouchEstimate, moments)) == 6
     assert plans[-1].stop_reason == "budget"  # type: ignore[attr-defined]
