@@ -98,10 +98,13 @@ def rendered(scene: Scene) -> list[Image]:
         zoom = 1.0 + scene.zoom * share
         px = (x - width / 2 - shift[0]) / zoom + width / 2  # in the scene
         py = (y - height / 2 - shift[1]) / zoom + height / 2
-        rx, ry = px.copy(), py.copy()
+        rx, ry = px, py
         for _ in range(25):
+            before_x, before_y = rx, ry
             u, v = motion(scene, rx, ry, share)
             rx, ry = px - u, py - v
+            if max(np.abs(rx - before_x).max(), np.abs(ry - before_y).max()) < 1e-9:
+                break
         inside = (rx >= left) & (rx < left + wide) & (ry >= top) & (ry < top + high)
 
         def seen(picture: Floats, at_x: Floats, at_y: Floats) -> Floats:
