@@ -107,7 +107,7 @@ SAMPLES = {
         keep=used_by_squeeze,
     ),
     "rig": Sample(
-        "record recordings/rig.toml --seconds 3.8 --stage flow --stage beta --stage surface --stage tactile"
+        "record recordings/rig.toml --seconds 3.6 --stage flow --stage beta --stage surface --stage tactile"
         " --viewer none",
         "All kinds of devices on a bench, as doubles, with stages that are computed meanwhile",
         0,
