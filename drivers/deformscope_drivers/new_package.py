@@ -16,10 +16,10 @@ def write_package(parent: Path, name: str, kind: PackageKind) -> Path:
     """Write the folder `name` in a parent folder; its path. Raises DeviceError for a name that cannot be used, or a
     folder that exists."""
     if not NAME.fullmatch(name):
-        raise DeviceError("a name of lower case letters, digits and _, which begins with a letter", repr(name))
+        raise DeviceError("lower case letters, digits and _ in a name, a letter first", repr(name), "mysensor")
     folder = parent / name
     if name in DRIVERS or folder.exists():
-        raise DeviceError("a name that is new", "an installed driver" if name in DRIVERS else "a folder", where=folder)
+        raise DeviceError("a new name", "a driver's" if name in DRIVERS else "a folder's", "another one", folder)
     templates = resources.files("deformscope_drivers") / "templates"
     of_kind = templates / kind
     files = {

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -17,7 +18,7 @@ from deformscope_drivers.arms import chains
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.interface import DRIVERS, DeviceDriver, Drivers
 from deformscope_drivers.new_package import PackageKind, write_package
-from tests.cases import Capture
+from tests.cases import Capture, Patch
 from tests.patience import PATIENCE_S
 from tests.verified import verify_here
 
@@ -230,9 +231,19 @@ def test_a_new_package_passes_its_tests_as_it_is(kind: str, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("name", ["optoforce", "My-Sensor", "", "x" * 41])
-def test_a_name_that_cannot_be_used_is_refused(name: str, tmp_path: Path) -> None:
+def test_a_name_that_cannot_be_used_is_refused(name: str, tmp_path: Path, capsys: Capture) -> None:
     assert main(["new-device", name, "--kind", "force", "--out", str(tmp_path)]) == 2
+    assert "| try: " in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+def test_the_printed_installation_is_of_the_folder(tmp_path: Path, capsys: Capture, monkeypatch: Patch) -> None:
+    """`pip install mysensor` would ask a registry for a package of that name."""
+    monkeypatch.chdir(tmp_path)
+    assert main(["new-device", "mysensor", "--kind", "force"]) == 0
+    (installed,) = re.findall(r"pip install -e ([^;]+);", capsys.readouterr().err)
+    assert os.sep in installed
+    assert (Path(installed) / "pyproject.toml").is_file()
 
 
 def test_the_documented_driver_is_the_one_that_is_written(tmp_path: Path) -> None:
