@@ -28,13 +28,13 @@ def begin(name: str) -> RigStep:
 
 
 def commissioning_steps(rig: Rig, name: str, today: datetime.date | None = None) -> tuple[RigStep, ...]:
-    """The steps of a rig that explores, in order; none for one that has no arm, no force sensor or no depth camera.
-    name: name of its file, for the commands"""
-    kinds = {entry.driver.kind for entry in rig.devices}
-    if not {"arm", "wrench", "depth"} <= kinds:
+    """The steps of a rig that explores, in order; none for one that has no arm, no force sensor or no depth camera, or
+    no box where no step measures it. name: name of its file, for the commands"""
+    kinds, simulated = {entry.driver.kind for entry in rig.devices}, bool(rig.surface.scene)
+    known = simulated and rig.surface.hidden is None
+    if not {"arm", "wrench", "depth"} <= kinds or (known and rig.workspace.low_m is None):
         return ()
-    simulated = bool(rig.surface.scene)
-    if simulated and rig.surface.hidden is None:
+    if known:
         return (RigStep("explore", "to do", "doubles are at the poses of the file", f"deformscope explore {name}"),)
     there = {
         "tip": rig.tool.T_ee_tip is not None,
@@ -60,8 +60,7 @@ def commissioning_steps(rig: Rig, name: str, today: datetime.date | None = None)
             state, words = "optional" if what == "time" else "to do", WHY[what]
         minutes = MINUTES[what] if not simulated else 2 if what == "camera" else 1
         steps.append(RigStep(what, state, words, command, minutes))
-    steps.append(RigStep("explore", "to do", "map the stiffness of the surface", f"deformscope explore {name}"))
-    return tuple(steps)
+    return (*steps, RigStep("explore", "to do", "map the stiffness of the surface", f"deformscope explore {name}"))
 
 
 def next_step(steps: tuple[RigStep, ...]) -> RigStep | None:

@@ -3,6 +3,7 @@ clock, and with threads of their own on the host's."""
 
 import io
 import json
+import re
 import sys
 import time
 from importlib import resources
@@ -244,6 +245,19 @@ def test_doctor_lists_what_there_is_to_do_once(rig: Path, capsys: Capture) -> No
     assert "lacks" not in shown
     assert "T_arm" not in shown
     assert "(about 1 min)" in shown
+
+
+def test_doctor_sends_nobody_to_explore_without_a_box(rig: Path, capsys: Capture) -> None:
+    """Doubles at the poses of the file, as one has them who tries a force sensor of one's own over simulated foam."""
+    rig.unlink()
+    assert main(["rig", "new", str(rig), "--doubles"]) == 0
+    rig.write_text(re.sub(r"(?m)^hidden = .*\n", "", rig.read_text()))
+    for box in ("", "low_m = [-0.34, -0.6, 0.0]\nhigh_m = [0.34, -0.1, 0.3]\n"):
+        rig.write_text(re.sub(r"(?m)^(\[workspace\].*\n)", rf"\1{box}", rig.read_text()))
+        assert main(["doctor", str(rig), "--seconds", "0.1"]) == 0
+        shown = capsys.readouterr().out
+        assert ("next: deformscope explore" in shown) == bool(box)
+        assert ("Add low_m and high_m" in shown) != bool(box)
 
 
 def test_the_example_fits_together_once_its_lines_are_uncommented(rig: Path, capsys: Capture) -> None:
