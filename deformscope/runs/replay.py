@@ -328,6 +328,6 @@ def _replay_rig(recording: Replay) -> ReplayResult:
         more = f" (and of {len(differences) - 1} more devices)" if len(differences) > 1 else ""
         different = Different("frames equal to their bytes", differences[0] + more, where=path)
     report["identical"] = different is None
-    verdict = f"replay: {sum(one.compared for one in found)} frames decoded again, identical to the recorded ones"
-    shown = (Table(rows, caption=f"replay of {path}"),)
-    return ReplayResult(report, shown, verdict, notes, different)
+    compared = sum(one.compared for one in found)
+    verdict = f"replay: {compared} frames decoded again{', identical to the recorded ones' if compared else ''}"
+    return ReplayResult(report, (Table(rows, caption=f"replay of {path}"),), verdict, notes, different)

@@ -178,6 +178,10 @@ def test_replay_of_a_rigs_recording(recorded: Recorded, tmp_path: Path, capfd: p
     assert sum(one["compared"] for one in told["devices"]) == frames
     assert {one["device"]: one["left_out"] for one in told["devices"]}["arm"] == "its driver gives no bytes"
     assert f"{frames} frames decoded again, identical" in out.err
+    with Recorder(tmp_path / "n.rrd", "none", {"rig": "", "rig_name": "rig"}, application=RIG_APPLICATION) as made:
+        made.start(RigLayout((arm,)), start_ns)
+    assert main(["replay", str(tmp_path / "n.rrd")]) == 0
+    assert "identical" not in "".join(capfd.readouterr()), "nothing was compared"
     assert main(["replay", str(tmp_path / "x.rrd"), "--json", str(tmp_path / "x.json")]) == 2
     error = capfd.readouterr().err.splitlines()[-1]
     assert "got another counts of frame" in error
