@@ -288,7 +288,7 @@ class DoubleConfig(CommandOptions):
     from another terminal."""
 
     what: Annotated[tuple[str, ...], Positional, arg(metavar="DRIVER|RIG")]
-    """Drivers (optoforce, dsa, sdh), or a rig file or lab:NAME whose byte-stream devices are simulated."""
+    """Drivers (optoforce, your own), or a rig file or lab:NAME whose byte-stream devices are simulated."""
     seconds: flags.PositiveFlag = None
     """Duration [s]; default: until Ctrl-C."""
 

@@ -164,7 +164,7 @@ def recorded_rig(path: Path) -> "Rig":
     known: list[tuple[str, object]] = [("[surface] T_arm_surface", rig.surface.T_arm_surface)]
     known += [(f"[camera] {name}", getattr(camera, name)) for name in ("T_arm_camera", "focal_px", "center_px")]
     if missing := [name for name, value in known if value is None]:
-        raise InputError(f"{missing[0]} among the recorded devices", "none", "in the map of its import", path)
+        raise InputError(f"{missing[0]} among the recorded devices", "none", "in its map; or use replay", path)
     return rig
 
 

@@ -372,7 +372,7 @@ def _not_opened(error: Exception, port: str) -> DeviceError:
         return NotConnected("a port that may be opened", "permission denied", "sudo usermod -aG dialout $USER", port)
     if number in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or "No such file" in text:
         return NotConnected("a port that is there", "none", "check the cable; deformscope devices", port)
-    return NotConnected("a port that can be opened", text, "deformscope devices", port)
+    return NotConnected("a port that can be opened", text, "check power and address; deformscope devices", port)
 
 
 def _format_error(error: BaseException) -> str:

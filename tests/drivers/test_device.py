@@ -244,6 +244,13 @@ def test_a_port_that_is_not_there_is_reported() -> None:
         Toy(SerialTransport("/dev/ttyNONE", 115200)).open()
 
 
+def test_a_refused_connection_is_no_matter_of_the_usb_cable() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+    with pytest.raises(NotConnected, match=r"got .*refused.* try: .*power.*address"):
+        Toy(SerialTransport(f"socket://127.0.0.1:{port}", 115200)).open()
+
+
 def test_a_port_in_use_is_reported(wire: PtyWire) -> None:
     with toy(wire), pytest.raises(Busy, match="another program"):
         toy(wire).open()
