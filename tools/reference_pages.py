@@ -470,7 +470,8 @@ def _summary(kind: type) -> str:
 
 
 def _escaped(words: str) -> str:
-    return re.sub(r"\[(?![^\]]*\]\()", r"\\[", words).replace("<", "&lt;")
+    """For Markdown, which takes what stands between backticks as it is."""
+    return re.sub(r"(`[^`]*`)|\[(?![^\]]*\]\()|<", lambda m: m[1] or {"[": "\\[", "<": "&lt;"}[m[0]], words)
 
 
 def _sentence(words: str) -> str:

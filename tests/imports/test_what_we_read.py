@@ -20,3 +20,8 @@ def test_every_row_says_how_unit_frame_and_clock_are_known() -> None:
     head, rows = PAGES["READ_HEAD"], PAGES["read_rows"]()
     assert {len(row) for row in rows} == {len(head)}
     assert [row for row in rows if not all(row[:2])] == []
+
+
+def test_brackets_are_escaped_outside_of_code_alone() -> None:
+    assert PAGES["_escaped"]("[a] is `[b] c<d` <e> [f](g)") == "\\[a] is `[b] c<d` &lt;e> [f](g)"
+    assert "\\[" not in "".join(PAGES["rig_file"]().split("`")[1::2])
