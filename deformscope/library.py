@@ -28,8 +28,7 @@ if TYPE_CHECKING:
     from deformscope.runs.indentation import CurveArrays, IndentResult
     from deformscope.runs.materials import MaterialResult
     from deformscope.runs.prediction import ModelSource, PredictionResult
-    from deformscope.runs.recording_report import RecordingReport
-    from deformscope.runs.recordings import ExportResult, OpenDataset, OpenRecording, RecordResult
+    from deformscope.runs.recordings import ExportResult, OpenDataset, OpenRecording, RecordingReport, RecordResult
     from deformscope.runs.replay_result import ReplayResult
     from deformscope.runs.result import FoundResult
     from deformscope.runs.simulation import SimulationResult
@@ -150,12 +149,9 @@ def _calibrate_material(
     from deformscope.runs.materials import calibrate_material
 
     with _python_names(), shown_progress(progress) as note:
-        config = _options(kind, options, sources=_names(sources))
+        every = [sources] if isinstance(sources, str | Path) else sources
+        config = _options(kind, options, sources=list(map(str, every)))
         return calibrate_material(config, progress=note)
-
-
-def _names(sources: str | Path | Sequence[str | Path]) -> list[str]:
-    return [str(one) for one in ([sources] if isinstance(sources, str | Path) else sources)]
 
 
 def predict(
@@ -476,7 +472,7 @@ def import_recording(
 def report(path: Path | str) -> "RecordingReport":
     """The figures of a recording, from its content alone: `figures()`, `lacks`, and `page()` as HTML.
     Raises InputError where it is none."""
-    from deformscope.runs.recording_report import report_recording
+    from deformscope.runs.recordings import report_recording
 
     return report_recording(Path(path))
 

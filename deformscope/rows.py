@@ -337,10 +337,6 @@ def _value(field: CodecField, components: Mapping[str, Any]) -> Any:
     return field.kind[value] if _is_enum(field.kind) else field.kind(value)
 
 
-def _tuple(field: CodecField, components: Mapping[str, Any]) -> tuple[Any, ...]:
-    return tuple(map(field.kind, components[field.name]))
-
-
 def _array(field: CodecField, components: Mapping[str, Any]) -> npt.NDArray[Any]:
     flat = np.asarray(components[field.name])
     shape = components.get(field.name + SHAPE)
@@ -360,7 +356,7 @@ def _tuple_of_arrays(field: CodecField, components: Mapping[str, Any]) -> tuple[
 
 _DECODERS: dict[Form, Callable[[CodecField, Mapping[str, Any]], Any]] = {
     "value": _value,
-    "tuple": _tuple,
+    "tuple": lambda field, components: tuple(map(field.kind, components[field.name])),
     "bytes": lambda field, components: np.asarray(components[field.name], np.uint8).tobytes(),
     "array": _array,
     "arrays": _tuple_of_arrays,

@@ -21,7 +21,7 @@ import scipy
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.config import flags
-from deformscope.experiments.squeeze.squeeze import feature_settings
+from deformscope.experiments.squeeze.placing import feature_settings
 from deformscope.files.squeeze_dataset import SqueezeDataset, TrialRow
 from deformscope.lab.container_setup import container_lab
 from deformscope.pictures.report import Table

@@ -13,8 +13,7 @@ import numpy as np
 from deformscope.config import flags
 from deformscope.experiments.squeeze.features import SqueezeGeometry
 from deformscope.experiments.squeeze.frames import ObservedRecorder
-from deformscope.experiments.squeeze.placing import CONTAINER, NO_GRASP, Placing, PlacingArm
-from deformscope.experiments.squeeze.squeeze import Squeezed, squeeze
+from deformscope.experiments.squeeze.placing import CONTAINER, NO_GRASP, Placing, PlacingArm, Squeezed, squeeze
 from deformscope.experiments.squeeze.squeezing_hand import SqueezingHand, observer_of
 from deformscope.lab.container_setup import CarriedHandLab, container_lab
 from deformscope.pictures.report import Table

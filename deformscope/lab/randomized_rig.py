@@ -149,7 +149,8 @@ class SimulatedHand:
         match kind:
             case "corner":
                 shares = ((0, 0), (1, 0), (0, 1), (1, 1))[number]
-                self._stand(np.append(np.array(shares) * self._size_m, self._radius_m) + self._off(TOUCH_M), UP)
+                center_m = np.append(np.array(shares) * self._size_m, self._rig.placement.tool.radius_m)
+                self._stand(center_m + self._off(TOUCH_M), UP)
             case "tilt":
                 turn = np.radians(60.0 * number + self._random.uniform(-10, 10))
                 tilted = Rotation.from_rotvec(np.radians(TILT_DEG) * np.array([np.cos(turn), np.sin(turn), 0.0]))
@@ -185,10 +186,6 @@ class SimulatedHand:
         self._table.show_board(False)
         self._table.push_tip(np.zeros(3))
         self._park()
-
-    @property
-    def _radius_m(self) -> float:
-        return self._rig.placement.tool.radius_m
 
     def _off(self, sd_m: tuple[float, ...]) -> FloatArray:
         """(3,) a random error with these standard deviations [m]."""

@@ -81,7 +81,8 @@ def start_viewer() -> Viewer:
     """Start rerun's window on loopback and return without waiting for it; the window stays open after this process.
 
     Raises InputError without a display."""
-    if sys.platform.startswith("linux") and not _has_display():
+    has_display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") or "--headless" in window_options()
+    if sys.platform.startswith("linux") and not has_display:
         raise InputError("a display for the viewer's window", "none (DISPLAY is unset)", "--viewer page or none")
     command = [str(viewer_executable()), "--bind", LOOPBACK, "--port", "0"]
     command += ["--memory-limit", VIEWER_MEMORY, "--server-memory-limit", BACKLOG_MEMORY]
@@ -192,10 +193,6 @@ def _ended(pid: int) -> bool:
         return os.waitpid(pid, os.WNOHANG)[0] == pid
     except ChildProcessError:
         return True
-
-
-def _has_display() -> bool:
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")) or "--headless" in window_options()
 
 
 class LiveFeed(Generic[StreamT]):

@@ -383,7 +383,8 @@ class RecordingTables:
             if done is not None and (done := _whole(done, stream)).num_rows:
                 ready[entity].append(stream.convert(done, self.start_ns))
             own = ready[entity]
-            if own and (not gather or _is_enough(own)):
+            enough = sum(map(len, own)) >= BATCH_ROWS or sum(one.nbytes for one in own) >= BATCH_BYTES
+            if own and (not gather or enough):
                 yield stream, pa.concat_batches(own)
                 ready[entity] = []
         for entity, own in ready.items():
@@ -490,10 +491,6 @@ def _whole(table: pa.Table, stream: RecordedStream) -> pa.Table:
     if not there.all():
         _logger.warning("%d rows of %s were recorded in part, and are left out", np.sum(~there), stream.entity)
     return table.filter(pa.array(there))
-
-
-def _is_enough(batches: Sequence[pa.RecordBatch]) -> bool:
-    return sum(map(len, batches)) >= BATCH_ROWS or sum(one.nbytes for one in batches) >= BATCH_BYTES
 
 
 # Columns -------------------------------------------------------------------------------------------------------------

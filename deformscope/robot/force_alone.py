@@ -87,18 +87,15 @@ class ForceAlone:
         """The greatest force [N] if the sensor fails on the way down, and no motor current shows the contact."""
         return self.stiffness_n_m * (self.doubt_m + MISS_M) + self.contact_n
 
-    def deeper_n(self, max_depth_m: float) -> float:
-        """The greatest force [N] if the sensor's gain falls before contact, which looks like a softer thing: at the
-        greatest depth [m] below a contact that is noticed as late as it can be."""
-        return self.undetected_n + self.stiffness_n_m * max_depth_m
-
     def words(self, max_depth_m: float) -> str:
         """Text with the forces, and the stiffness and delay from which they follow."""
+        # the sensor's gain falls before a contact that is noticed as late as it can be: it looks like a softer thing
+        deeper_n = self.undetected_n + self.stiffness_n_m * max_depth_m
         else_n = ", unless its motors' currents show it" if self.currents else ""
         return (
             f"{self.contact_n:.1f} N, by {self.stiffness_n_m / 1e3:.3g} N/mm and {1e3 * self.late_s:.0f} "
             f"ms until the arm rests; {self.undetected_n:.0f} N if the sensor fails on the way down{else_n}; at most "
-            f"{self.deeper_n(max_depth_m):.0f} N if it then measures only a small part"
+            f"{deeper_n:.0f} N if it then measures only a small part"
         )
 
 

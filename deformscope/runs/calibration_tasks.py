@@ -37,7 +37,7 @@ def _tip(config: TipConfig) -> SetupTask[Any]:
         "tip",
         ("arm",),
         lambda at: rig_calibration.tilt_about_tip(at.operator, at.arm, config.poses, say),
-        tip_arrays,
+        lambda found: _array(found, "T_base_ee", (4, 4)),
         solve_tip,
     )
 
@@ -112,7 +112,7 @@ def _time(config: TimeConfig) -> SetupTask[Any]:
         "time",
         ("wrench", kinds[name]),
         lambda at: rig_calibration.tap_tip(at.operator, at.wrench, name, kind),
-        time_arrays,
+        lambda found: Taps(*(_array(found, each, ()) for each in ("x_time_s", "x", "y_time_s", "y"))),
         lambda rig, taps: solve_time(rig, taps, name, wrench),
         lambda path: recorded_taps(path, wrench, name, kind),
     )
@@ -205,11 +205,6 @@ def solve_tip(rig: Rig, T_base_ee: FloatArray) -> RigCalibrationResult:
         ),
         {"T_ee_center": _json(made.T_ee_center), "pivot_m": made.pivot_m, "pivot_sd_m": made.pivot_sd_m},
     )
-
-
-def tip_arrays(found: Arrays) -> FloatArray:
-    """T_base_ee (n, 4, 4)."""
-    return _array(found, "T_base_ee", (4, 4))
 
 
 def _array(found: Arrays, name: str, shape: tuple[int, ...]) -> FloatArray:
@@ -545,11 +540,6 @@ def solve_time(rig: Rig, taps: Taps, device: str, beside: str) -> RigCalibration
             "level": LEVEL,
         },
     )
-
-
-def time_arrays(found: Arrays) -> Taps:
-    """The arrays x_time_s, x, y_time_s, y for a file."""
-    return Taps(*(_array(found, name, ()) for name in ("x_time_s", "x", "y_time_s", "y")))
 
 
 RECORDED_AT_MOST_S = 120.0

@@ -73,7 +73,7 @@ def squeeze_again(recording: "Replay") -> SqueezeAgain:
     from deformscope.experiments.squeeze.features import SqueezeGeometry, trial_features
     from deformscope.experiments.squeeze.frames import SqueezeFrames, SqueezeObserver, TactileSource
     from deformscope.experiments.squeeze.live import RecordedTracking
-    from deformscope.experiments.squeeze.squeeze import posterior_of
+    from deformscope.experiments.squeeze.placing import posterior_of
     from deformscope.frames import ArmFrame, DepthFrame, HandFrame, TactileFrame
     from deformscope.recording.items import read_results, read_streams
     from deformscope.recording.reader import read_rows

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from deformscope.arrays import FloatArray
     from deformscope.config import SqueezeConfig
     from deformscope.experiments.squeeze.frames import Predict
-    from deformscope.experiments.squeeze.squeeze import Squeezed
+    from deformscope.experiments.squeeze.placing import Squeezed
     from deformscope.files.squeeze_dataset import SqueezeDataset, TrialEntry
     from deformscope.page.devices import ShownDevices
     from deformscope.page.robot_page import PageSqueezing
@@ -58,7 +58,7 @@ class SqueezeOutcome:
 
 def squeeze_on(config: "SqueezeConfig", report: Callable[[SqueezeResult], None]) -> SqueezeOutcome:
     """Squeeze, with the laboratory or the devices of a rig file; store the trial; report the results."""
-    from deformscope.experiments.squeeze.squeeze import Squeezed, entry_of, feature_settings, recorded_settings, row_of
+    from deformscope.experiments.squeeze.placing import Squeezed, entry_of, feature_settings, recorded_settings, row_of
     from deformscope.files.squeeze_dataset import SqueezeDataset
 
     session = config.session or ("lab-0" if config.rig.startswith(LAB) else f"{datetime.date.today():%Y%m%d}")
@@ -140,7 +140,7 @@ def _run(
     from deformscope.experiments.squeeze.features import SqueezeGeometry, around_px
     from deformscope.experiments.squeeze.frames import ObservedRecorder
     from deformscope.experiments.squeeze.live import live_tracking
-    from deformscope.experiments.squeeze.squeeze import squeeze
+    from deformscope.experiments.squeeze.placing import squeeze
     from deformscope.experiments.squeeze.squeezing_hand import SqueezingHand, feature_executor, observer_of
     from deformscope.frames import InputFile
     from deformscope.robot.squeeze_plan import grasp_at

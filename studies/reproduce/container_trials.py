@@ -10,7 +10,7 @@ import numpy as np
 
 from deformscope.experiments.squeeze.features import SqueezeGeometry
 from deformscope.experiments.squeeze.frames import ObservedRecorder, SqueezeFrames
-from deformscope.experiments.squeeze.squeeze import (
+from deformscope.experiments.squeeze.placing import (
     Squeezed,
     entry_of,
     feature_settings,

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from deformscope.arrays import FloatArray
 from deformscope.experiments.squeeze.features import SqueezeGeometry, TrialFeatures, trial_features
 from deformscope.experiments.squeeze.frames import SqueezeFrames, frame_ns
-from deformscope.experiments.squeeze.squeeze import row_of
+from deformscope.experiments.squeeze.placing import row_of
 from deformscope.experiments.squeeze.tracking import container_model
 from deformscope.files.squeeze_dataset import TrialRow
 from deformscope.lab.container_setup import ContainerLab

@@ -288,7 +288,8 @@ class ExplorationStages:
         while not explorer.given_up:
             allowed = self._reached()
             for xy_m in (*self._vetoed, *self._no_way):
-                allowed = allowed & ~_near(explorer.grid, xy_m)
+                away_m = np.hypot(*(explorer.grid.centres_m - xy_m).T)
+                allowed = allowed & (away_m >= VETO_M).reshape(explorer.grid.shape)
             plan = explorer.next(allowed)
             if plan is None or plan.target_m is None:
                 break
@@ -367,11 +368,6 @@ class ExplorationStages:
 
 def _present(result: StageResult | None) -> tuple[StageResult, ...]:
     return () if result is None else (result,)
-
-
-def _near(grid: MapGrid, xy_m: FloatArray) -> BoolArray:
-    """(rows, columns) within VETO_M of a place (2,) [m]."""
-    return np.asarray(np.hypot(*(grid.centres_m - xy_m).T) < VETO_M).reshape(grid.shape)
 
 
 class UnseenSurface:

@@ -13,8 +13,7 @@ from deformscope.stages.fit.calibrate import Observation
 from deformscope.stages.fit.doubts import ordered
 from deformscope.stages.fit.estimate import Doubt, Estimate, Plane, PushCurve, WithInterval, relative_verdict
 from deformscope.stages.fit.force import depth_along, pushed_along
-from deformscope.stages.materials.force_offset import ForceOffset, find_offset
-from deformscope.stages.materials.plane_modulus import plane_modulus
+from deformscope.stages.materials.plane_modulus import ForceOffset, find_offset, plane_modulus
 from deformscope.stages.materials.press_cycle import PressForce
 from deformscope.stages.see.particles import ParticleGrid, Rect, Tracked, select_held
 

@@ -6,11 +6,11 @@ with Webcam(WebcamConfig(port="/dev/v4l/by-id/usb-046d_HD_Pro_Webcam_C920-video-
 """
 
 from deformscope_drivers.images import ColorImage as ColorImage
+from deformscope_drivers.webcam.device import ImageFolder as ImageFolder
+from deformscope_drivers.webcam.device import PlaybackConfig as PlaybackConfig
+from deformscope_drivers.webcam.device import VideoFile as VideoFile
 from deformscope_drivers.webcam.device import Webcam as Webcam
 from deformscope_drivers.webcam.device import WebcamConfig as WebcamConfig
 from deformscope_drivers.webcam.device import discover as discover
-from deformscope_drivers.webcam.files import ImageFolder as ImageFolder
-from deformscope_drivers.webcam.files import PlaybackConfig as PlaybackConfig
-from deformscope_drivers.webcam.files import VideoFile as VideoFile
 from deformscope_drivers.webcam.synthetic import SyntheticCamera as SyntheticCamera
 from deformscope_drivers.webcam.synthetic import SyntheticCameraConfig as SyntheticCameraConfig

@@ -3,8 +3,7 @@
 import contextlib
 
 from deformscope_drivers.interface import DeviceDriver
-from deformscope_drivers.webcam.device import Webcam, WebcamConfig
-from deformscope_drivers.webcam.files import ImageFolder, PlaybackConfig, VideoFile
+from deformscope_drivers.webcam.device import ImageFolder, PlaybackConfig, VideoFile, Webcam, WebcamConfig
 from deformscope_drivers.webcam.synthetic import SyntheticCamera, SyntheticCameraConfig
 
 DRIVER = DeviceDriver(

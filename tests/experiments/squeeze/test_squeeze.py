@@ -8,7 +8,7 @@ import pytest
 
 from deformscope.experiments.squeeze.features import SqueezeGeometry, trial_features
 from deformscope.experiments.squeeze.frames import ObservedRecorder
-from deformscope.experiments.squeeze.squeeze import Squeezed, squeeze
+from deformscope.experiments.squeeze.placing import Squeezed, squeeze
 from deformscope.experiments.squeeze.squeezing_hand import SqueezingHand, observer_of
 from deformscope.recording.recorder import Recorder
 from deformscope.robot.squeeze_robot import SQUEEZE_PERIOD_NS

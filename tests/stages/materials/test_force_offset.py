@@ -6,7 +6,7 @@ from scipy.signal import lfilter
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.stages.materials.force_offset import find_offset
+from deformscope.stages.materials.plane_modulus import find_offset
 from deformscope.stages.materials.press_cycle import PressForce
 
 FPS = 15.0
