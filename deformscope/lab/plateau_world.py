@@ -101,17 +101,6 @@ class OgdenFoam:
             second[axis, axis] -= kirchhoff[axis]
         return kirchhoff / stretch, second / (stretch[:, None] * stretch[None, :])
 
-    def uniaxial(self, stretch: float) -> tuple[float, float]:
-        """Nominal stress [Pa] at a stretch along one axis, and the stretch across it that leaves no stress there."""
-        from scipy.optimize import brentq
-
-        def across(log_across: float) -> float:
-            return float(self.derivatives(np.array([stretch, *[np.exp(log_across)] * 2]))[0][1])
-
-        far = abs(float(np.log(stretch))) + 1e-3  # half of it would keep the volume
-        lateral = float(np.exp(brentq(across, -far, far, xtol=1e-14)))
-        return float(self.derivatives(np.array([stretch, lateral, lateral]))[0][0]), lateral
-
 
 def stress_and_tangent(law: OgdenFoam, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
     """First Piola-Kirchhoff stress (n, d, d) and its derivative (n, d, d, d, d) [Pa] at gradients (n, d, d).

@@ -20,6 +20,7 @@ introduce no trend of beta.
 import math
 from dataclasses import dataclass
 
+import numpy as np
 from scipy.optimize import brentq
 
 from deformscope.lab.plateau_world import OgdenFoam
@@ -30,6 +31,17 @@ SOLID_KG_M3 = 1200.0
 """Density of the cells' polyurethane."""
 
 DENSIFYING_EXPONENT, DENSIFIED_STRAIN = -4.0, 0.65
+
+
+def uniaxial(law: OgdenFoam, stretch: float) -> tuple[float, float]:
+    """Nominal stress [Pa] at a stretch along one axis, and the stretch across it that leaves no stress there."""
+
+    def across(log_across: float) -> float:
+        return float(law.derivatives(np.array([stretch, *[np.exp(log_across)] * 2]))[0][1])
+
+    far = abs(float(np.log(stretch))) + 1e-3  # half of it would keep the volume
+    lateral = float(np.exp(brentq(across, -far, far, xtol=1e-14)))
+    return float(law.derivatives(np.array([stretch, lateral, lateral]))[0][0]), lateral
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,13 +66,13 @@ class Foam:
         most = 1.0 - 1.4 * self.density / SOLID_KG_M3
         stiffer = (1.0 - DENSIFIED_STRAIN) / (most - DENSIFIED_STRAIN)
         pressed = 1.0 - DENSIFIED_STRAIN
-        weightless = OgdenFoam((1.0,), (self.plateau,), self.poisson).uniaxial(pressed)[0]
+        weightless = uniaxial(OgdenFoam((1.0,), (self.plateau,), self.poisson), pressed)[0]
 
         def excess(log_weight: float) -> float:
-            return self._shape(log_weight).uniaxial(pressed)[0] / weightless - stiffer
+            return uniaxial(self._shape(log_weight), pressed)[0] / weightless - stiffer
 
         shape = self._shape(float(brentq(excess, -30.0, 0.0, xtol=1e-12)))
-        scale = -self.hardness / PLATE_M2 / shape.uniaxial(1.0 - HARDNESS_STRAIN)[0]
+        scale = -self.hardness / PLATE_M2 / uniaxial(shape, 1.0 - HARDNESS_STRAIN)[0]
         return OgdenFoam(tuple(scale * mu for mu in shape.shear), shape.exponent, shape.poisson)
 
     def _shape(self, log_weight: float) -> OgdenFoam:
