@@ -1,5 +1,5 @@
 """Cases of parametrised tests: which of them a default run takes, and which are left to `make test-slow`; short names
-of fixtures' types; what a command refuses."""
+of fixtures' types; rig files; what a command refuses."""
 
 from collections.abc import Collection, Iterable, Sequence
 from itertools import product
@@ -9,6 +9,37 @@ import pytest
 
 Capture = pytest.CaptureFixture[str]
 Patch = pytest.MonkeyPatch
+
+# Parts of a rig file with doubles over a simulated table
+OPTOFORCE = """
+[devices.tip]
+driver = "optoforce"
+double = true
+rate_hz = 1000
+filter_hz = 150
+"""
+DEPTH = """
+[devices.depth]
+driver = "depth_camera"
+double = true
+fps = 5
+"""
+COMPLIANCE = """
+[tool]
+compliance_m_per_n = 2e-4
+compliance_sd = 2e-5
+"""
+SURFACE = """
+[surface]
+scene = "two-60-150"
+"""
+AHEAD = f"""
+[workspace]
+low_m = [0.1, -0.45, 0.0]
+high_m = [0.95, 0.45, 0.75]
+travel_speed_m_s = 0.1
+{SURFACE}T_arm_surface = [[0, -1, 0, 0.75], [1, 0, 0, -0.3], [0, 0, 1, 0], [0, 0, 0, 1]]
+"""
 
 
 def slow(*values: Any) -> Any:

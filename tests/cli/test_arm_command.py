@@ -23,28 +23,13 @@ from deformscope_drivers.interface import DRIVERS
 from deformscope_drivers.jaco.chains import J2N6S300
 from deformscope_drivers.jaco.config import JacoConfig
 from deformscope_drivers.optoforce.device import Optoforce
-from tests.cases import Capture, Patch, slow
+from tests.cases import DEPTH, OPTOFORCE, SURFACE, Capture, Patch, slow
 from tests.cli.rig_on_a_simulated_clock import use_a_simulated_clock
 from tests.cli.test_explore_arms import RIGS
 from tests.drivers.arm.test_homing import Unhomed, moves_home, until
 from tests.verified import verify_here
 
-RIG = """
-[devices.arm]
-driver = "jaco"
-double = true
-[devices.tip]
-driver = "optoforce"
-double = true
-rate_hz = 1000
-filter_hz = 150
-[devices.depth]
-driver = "depth_camera"
-double = true
-fps = 10
-[surface]
-scene = "two-60-150"
-"""
+RIG = '[devices.arm]\ndriver = "jaco"\ndouble = true\n' + OPTOFORCE + DEPTH + SURFACE
 BOX = "[workspace]\nlow_m = [-0.40, -0.66, 0.0]\nhigh_m = [0.45, 0.10, 0.75]\n"
 
 

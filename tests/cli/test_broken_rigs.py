@@ -12,37 +12,14 @@ import pytest
 from deformscope.cli import main
 from deformscope_drivers.interface import DRIVERS, GROUP
 from deformscope_drivers.wires import LOOPBACK, DatagramWire, PortsWire
-from tests.cases import Capture, Patch
+from tests.cases import AHEAD, COMPLIANCE, DEPTH, OPTOFORCE, Capture, Patch
 from tests.cli.quick_scene import use_quick_scene
 from tests.cli.rig_on_a_simulated_clock import use_a_simulated_clock
 
 PACKAGES = Path(__file__).parents[2] / "drivers" / "packages"
 TIP = '[devices.tip]\ndriver = "netft"\n'
 DOUBLED = f"{TIP}double = true\n"
-WHOLE = """
-[devices.arm]
-driver = "ur"
-double = true
-[devices.tip]
-driver = "optoforce"
-double = true
-rate_hz = 1000
-filter_hz = 150
-[devices.depth]
-driver = "depth_camera"
-double = true
-fps = 5
-[tool]
-compliance_m_per_n = 2e-4
-compliance_sd = 2e-5
-[workspace]
-low_m = [0.1, -0.45, 0.0]
-high_m = [0.95, 0.45, 0.75]
-travel_speed_m_s = 0.1
-[surface]
-scene = "two-60-150"
-T_arm_surface = [[0, -1, 0, 0.75], [1, 0, 0, -0.3], [0, 0, 1, 0], [0, 0, 0, 1]]
-"""
+WHOLE = '[devices.arm]\ndriver = "ur"\ndouble = true\n' + OPTOFORCE + DEPTH + COMPLIANCE + AHEAD
 MIRRORED = "[[1, 0, 0, 0.5], [0, -1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]"
 
 

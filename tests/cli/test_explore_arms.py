@@ -17,7 +17,7 @@ from deformscope.robot import finger
 from deformscope.robot.preflight import FORCE_TURNED
 from deformscope_drivers import kuka
 from deformscope_drivers.interface import DRIVERS, GROUP
-from tests.cases import Capture, Patch, slow
+from tests.cases import COMPLIANCE, DEPTH, SURFACE, Capture, Patch, slow
 from tests.cli.quick_scene import use_quick_scene
 from tests.cli.rig_on_a_simulated_clock import count_as_real, use_a_simulated_clock
 from tests.verified import verify_here
@@ -29,26 +29,20 @@ driver = "placed"
 double = true
 start_m = [0.3, 0.2, 0.28]
 """
-REST = """
+TIP = """
 [devices.tip]
 driver = "optoforce"
 double = true
 bus = "socketcan:can0"
 rate_hz = 333
-[devices.depth]
-driver = "depth_camera"
-double = true
-fps = 5
-[tool]
-compliance_m_per_n = 2e-4
-compliance_sd = 2e-5
+"""
+WORKSPACE = """
 [workspace]
 low_m = [-0.1, -0.4, 0.0]
 high_m = [0.9, 0.5, 0.75]
 travel_speed_m_s = 0.15
-[surface]
-scene = "two-60-150"
 """
+REST = TIP + DEPTH + COMPLIANCE + WORKSPACE + SURFACE
 KUKA = """
 [devices.arm]
 driver = "kuka"

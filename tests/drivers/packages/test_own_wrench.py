@@ -13,32 +13,19 @@ from deformscope.cli import main
 from deformscope.rig.rig_file import load_rig
 from deformscope_drivers.arm.kinematics import jacobian_of, least_singular
 from deformscope_drivers.interface import DRIVERS
-from tests.cases import Capture, Patch
+from tests.cases import AHEAD, COMPLIANCE, DEPTH, Capture, Patch
 from tests.cli.quick_scene import use_quick_scene
 from tests.cli.rig_on_a_simulated_clock import use_a_simulated_clock
 
-RIG = """
+ARM = """
 [devices.arm]
 driver = "ur"
 double = true
 linear_limit_m_s = 0.1
 [devices.own]
 driver = "arm"
-[devices.depth]
-driver = "depth_camera"
-double = true
-fps = 5
-[tool]
-compliance_m_per_n = 2e-4
-compliance_sd = 2e-5
-[workspace]
-low_m = [0.1, -0.45, 0.0]
-high_m = [0.95, 0.45, 0.75]
-travel_speed_m_s = 0.1
-[surface]
-scene = "two-60-150"
-T_arm_surface = [[0, -1, 0, 0.75], [1, 0, 0, -0.3], [0, 0, 1, 0], [0, 0, 0, 1]]
 """
+RIG = ARM + DEPTH + COMPLIANCE + AHEAD
 
 
 @pytest.fixture
