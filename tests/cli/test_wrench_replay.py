@@ -70,9 +70,11 @@ def recorded() -> Recorded:
     return sorted(items, key=host_ns), streams, start_ns, tuple(made.kept)
 
 
-def replayed(recorded: Recorded, folder: Path, items: list[Item], kept: "tuple[InputFile | Step, ...]") -> int:
+def replayed(
+    recorded: Recorded, folder: Path, items: list[Item], kept: "tuple[InputFile | Step, ...]", rig: str = RIG
+) -> int:
     _, streams, start_ns, _ = recorded
-    settings = {"rig": RIG, "rig_name": "rig"}
+    settings = {"rig": rig, "rig_name": "rig"}
     with Recorder(folder / "r.rrd", "none", settings, application=RIG_APPLICATION) as made:
         made.start(RigLayout(streams), start_ns)
         made.write(items)
@@ -81,7 +83,10 @@ def replayed(recorded: Recorded, folder: Path, items: list[Item], kept: "tuple[I
     return main(["replay", str(folder / "r.rrd")])
 
 
-def test_the_worth_comes_again_of_the_recorded_states(recorded: Recorded, tmp_path: Path, capsys: Capture) -> None:
+@pytest.mark.parametrize("rig", [RIG, ""], ids=["rig", "laboratory"])
+def test_the_worth_comes_again_of_the_recorded_states(
+    rig: str, recorded: Recorded, tmp_path: Path, capsys: Capture
+) -> None:
     items, _, _, kept = recorded
     frames = [one for one in items if isinstance(one, ArmFrame)]
     assert isinstance(kept[0], InputFile)
@@ -89,7 +94,7 @@ def test_the_worth_comes_again_of_the_recorded_states(recorded: Recorded, tmp_pa
     assert 0.9 * 50 * SECONDS < count < len(frames) - 80, "the pushes are outside"
     assert frames[0].stamp.host_ns < first_ns < last_ns < frames[-1].stamp.host_ns
     assert filter_hz == 4.0
-    assert replayed(recorded, tmp_path, items, kept) == 0
+    assert replayed(recorded, tmp_path, items, kept, rig) == 0
     said = "the worth of the arm's own force computed again from its states, identical to the recorded one"
     assert said in capsys.readouterr().err
 
