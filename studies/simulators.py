@@ -38,7 +38,8 @@ from deformscope.recording.recorder import Recorder
 from deformscope.session import Moment, Step
 from deformscope.stages.map.exploration import MapEstimate, SurfaceEstimate, TouchEstimate
 from deformscope.stages.msm.poke import Law, Tip
-from deformscope.stages.poke.fitted import FittedModel
+from deformscope.stages.poke.fitted import NEAR_M, FittedModel
+from deformscope.stages.simulate.slab_mesh import REACH_SHARE, REACH_TIPS
 from deformscope.terminal import say
 from studies.runner import Study, StudyOptions, StudyReport, Trials
 
@@ -72,6 +73,7 @@ class SlabCase:
     python: str | None
     target: Target = "mujoco"
     limit_s: float = 1800.0
+    reach_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +126,7 @@ def try_slab(case: SlabCase) -> SlabOutcome:
             vertices=case.vertices,
             timestep_s=case.timestep_s,
             limit_s=case.limit_s,
+            reach_m=case.reach_m,
         )
         told = found.to_dict()
         assert isinstance(told["pokes"], list)
@@ -238,6 +241,8 @@ class SimulatorsConfig(StudyOptions):
     """Numbers of slabs, from 1 to 12, in place of --cases."""
     vertices: Annotated[tuple[int, ...], arg(metavar="INT...")] = (1500,)
     """About how many vertices the body has."""
+    reach_m: flags.PositiveFlag = None
+    """How far the body goes beyond the tip [m]; default: as `deformscope simulate` has it."""
     timestep_s: Annotated[tuple[float, ...], arg(metavar="SECONDS...")] = ()
     """Time steps; default: the simulator's."""
     python: Annotated[Path | None, flags.one_word("PYTHON", Path), flags.unset] = None
@@ -250,20 +255,22 @@ class SimulatorsConfig(StudyOptions):
     """Regions of its map that are simulated."""
     surprises: bool = False
     """Show too what one would not guess of the simulator."""
+    ends: bool = False
+    """Show too what it costs that the body ends near the tip."""
 
 
 def trials(options: SimulatorsConfig) -> list[Trials[SlabCase, SlabOutcome]]:
     python = None if options.python is None else str(options.python)
     if options.two_materials:
         two = [
-            RegionsCase(TWO[0], 0.3, vertices, step, python, options.target, options.limit_s, regions)
+            RegionsCase(TWO[0], 0.3, vertices, step, python, options.target, options.limit_s, options.reach_m, regions)
             for vertices in options.vertices
             for step in options.timestep_s or (None,)
             for regions in options.regions
         ]
         return [Trials("bodies", try_regions, two)]
     cases = [
-        SlabCase(young, poisson, vertices, step, python, options.target, options.limit_s)
+        SlabCase(young, poisson, vertices, step, python, options.target, options.limit_s, options.reach_m)
         for young, poisson in ([CASES[number - 1] for number in options.only] or CASES[: options.cases])
         for vertices in options.vertices
         for step in options.timestep_s or (None,)
@@ -289,7 +296,30 @@ def report(options: SimulatorsConfig, seconds: float, outcomes: Sequence[SlabOut
     guesses = surprises(options.python, options.target) if options.surprises else ()
     if guesses:
         tables.append(Table(guesses, ("what", "one would guess", "seen"), f"{options.target} {version}"))
+    if options.ends:
+        tables.append(
+            Table(ends(), ("nu", "ends beyond the tip [mm]", "force", "dent of the depth"), "finite elements")
+        )
     return StudyReport(tables, {"slabs": outcomes, "surprises": guesses})
+
+
+def ends(ratios: Sequence[float] = (0.2, 0.3, 0.4, 0.45)) -> list[tuple[str, ...]]:
+    """What a free end does to force and dent in finite elements: where a simulator's body ends, and farther out."""
+    rows, tip, near = list[tuple[str, ...]](), RigidTip((HALF, HALF)), REACH_SHARE * THICKNESS + REACH_TIPS * 2 * HALF
+    for poisson in ratios:
+        whole = Slab((SIDE, SIDE, THICKNESS), 1.0, poisson)
+        points = whole.grid(0.005)
+        aside = np.linalg.norm(np.maximum(np.abs(points[:, :2] - HERE) - HALF, 0.0), axis=1)
+        for beyond in (near, 1.5 * near):
+            side = 2.0 * (HALF + beyond)
+            shift = np.array([*HERE, 0.0]) - [0.5 * side, 0.5 * side, 0.0]
+            seen = points[(aside <= NEAR_M) & (np.abs(points[:, :2] - HERE) <= 0.5 * side).all(axis=1)]
+            part = Slab((side, side, THICKNESS), 1.0, poisson)
+            cut = press(part, (0.5 * side, 0.5 * side), tip, seen - shift, depth=1.0, finest=FINEST)
+            full = press(whole, HERE, tip, seen, depth=1.0, finest=FINEST)
+            off = float(np.sqrt(np.mean(np.sum((cut.displaced - full.displaced) ** 2, axis=1))))
+            rows.append((f"{poisson:g}", f"{1e3 * beyond:.0f}", f"{cut.force / full.force - 1.0:+.1%}", f"{off:.1%}"))
+    return rows
 
 
 def surprises(python: Path | None, target: Target = "mujoco") -> list[tuple[str, ...]]:

@@ -49,6 +49,8 @@ class SimulateConfig(RecordedOptions):
     """About how many vertices the body has."""
     spacing_m: flags.PositiveFlag = None
     """Size of its cells [m], in place of --vertices."""
+    reach_m: flags.PositiveFlag = None
+    """How far it goes beyond a tip [m]; default: 0.6 of its thickness and a quarter of the tip."""
     density: Annotated[float, flags.Rule(lambda value: value > 0.0, "a {flag} above 0")] = 100.0
     """Density [kg/m^3]: a simulator's contact can depend on it."""
     timestep_s: Annotated[float | None, flags.one_word("SECONDS", float), flags.unset, _step] = None

@@ -266,7 +266,8 @@ def simulate(config: SimulateConfig, progress: Progress | None = None) -> Simula
     regions = _Regions(np.zeros((1, 1), np.int64), 1.0, np.ones(1)) if model is not None else _regions(config.source)
     surface, pokes = _of_recording(config) if model is None else _of_model(model, config)
     pokes = [replace(one, material=int(regions.at(one.seen.at[None, :2])[0])) for one in pokes]
-    mesh = slab_around(surface, [one.seen for one in pokes], config.spacing_m, config.vertices, regions.at)
+    seen = [one.seen for one in pokes]
+    mesh = slab_around(surface, seen, config.spacing_m, config.vertices, regions.at, config.reach_m)
     predicted = pokes[len(config.against) :] if config.against else []
     test = predicted or _held_out(pokes, config.held_out)
     fitted = [one for one in pokes if not any(one is other for other in test)]

@@ -22,6 +22,7 @@ from studies.simulators import (
     SimulatorsConfig,
     SlabCase,
     SlabOutcome,
+    ends,
     record_regions,
     report,
     surprises,
@@ -125,6 +126,15 @@ def test_an_unseen_depth_is_within_5_percent_after_the_fit() -> None:
     assert abs(pokes[1]["force_error"]) < 0.05
     assert pokes[1]["dent_error"] < 0.07  # .19 with a tip as wide as the measured one
     assert abs(pokes[1]["force_error_before"]) < 0.1  # .39
+
+
+@pytest.mark.slow
+def test_a_body_that_ends_near_the_tip_moves_the_dent_of_nearly_incompressible_foam() -> None:
+    rows = ends((0.3, 0.45))
+    near, far = ([float(row[3].rstrip("%")) for row in rows[one::2]] for one in (0, 1))
+    assert near[0] < 2.5
+    assert near[1] > 5.0
+    assert far[1] < 0.5 * near[1]
 
 
 @pytest.mark.slow

@@ -70,6 +70,8 @@ def test_the_slab_is_the_part_around_the_pokes_with_about_so_many_vertices() -> 
     assert 1.0 < height / width < 2.5
     assert slab_around(surface(), [poke((0.1, 0.1))], 0.01, 800).cells[2] == 3
     assert slab_around(surface(), [poke((0.015, 0.1))], None, 800).axes[0][0] == 0.0
+    wider = slab_around(surface(), [poke((0.1, 0.1))], None, 800, beyond=0.06)
+    np.testing.assert_allclose(wider.size[:2], 2.0 * (poke((0.1, 0.1)).tip.half + 0.06))
 
 
 def test_what_cannot_be_meshed_is_refused() -> None:
