@@ -250,7 +250,7 @@ class DeviceDriver:
         """The joints of an arm with this configuration, which may have its own as `chain`; None where a person places
         it. urdf: what the arm reported"""
         chains = self.chains()
-        model = config.model or (urdf.stem if urdf is not None else next(iter(chains), ""))
+        model = getattr(config, "model", "") or (urdf.stem if urdf is not None else next(iter(chains), ""))
         return getattr(config, "chain", None) or chains.get(model)
 
 
