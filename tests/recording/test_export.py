@@ -632,10 +632,9 @@ import sys
 from pathlib import Path
 from deformscope.recording.export.export import ExportRequest, export
 from deformscope.recording.reader import Replay
-from tests.peak_memory import peak_mib
+from tests.peak_memory import peak_of_own_mib
 path, to, out = Path(sys.argv[1]), sys.argv[2], Path(sys.argv[3])
-export(Replay(path, trust=True), ExportRequest(to=to, folder=out), lambda *_: None)
-print(peak_mib())
+print(peak_of_own_mib(lambda: export(Replay(path, trust=True), ExportRequest(to=to, folder=out), lambda *_: None)))
 """
 
 
