@@ -223,6 +223,7 @@ def try_regions(case: SlabCase) -> SlabOutcome:
             vertices=case.vertices,
             timestep_s=case.timestep_s,
             limit_s=case.limit_s,
+            reach_m=case.reach_m,
         )
     outcome = SlabOutcome(case, found.to_dict(), float("nan"))
     say(" | ".join(_regions_row(outcome)))
