@@ -412,7 +412,7 @@ class _Runs:
         passed_s, limit_s = time.monotonic() - self.began, self.config.limit_s
         if not anyway and (self.asked.is_set() or passed_s > limit_s):
             raise target_fit.Stopped
-        until = time.monotonic() + max(limit_s, 2.0 * passed_s)  # a target that hangs does not answer
+        silent_s, heard = max(limit_s, 2.0 * passed_s), [time.monotonic()]  # a target that hangs does not answer
         asked: list[Json] = []
         for one in pokes:
             tip = one.seen.tip
@@ -421,9 +421,10 @@ class _Runs:
         given: Json = {"young": parameters.moduli, "poisson": parameters.poisson, "contact": parameters.contact}
         request: Json = {"do": "press", "asset": self.body.resolve(), "pokes": asked, "parameters": given}
         request |= {"timestep_s": timestep_s or self.timestep_s}
-        answers = self.target.ask(cast("Json", plain(request)), lambda: time.monotonic() < until)
+        answers = self.target.ask(cast("Json", plain(request)), lambda: time.monotonic() < heard[-1] + silent_s)
         found = []
         for answer in answers:
+            heard.append(time.monotonic())
             force, inside, rest, moved = (np.array(answer[name]) for name in ANSWERED)
             found.append(
                 target_fit.TargetPoke(force, inside, rest, moved, float(answer["step_s"]), answer.get("how", {}))

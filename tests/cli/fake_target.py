@@ -1,6 +1,6 @@
 """Stands in for a simulator's process: a slab that answers as a spring, proportional to the modulus below the tip.
 
-FAKE_TARGET says how it misbehaves: missing, crash, garbage, error, hang, slow; deaf: it closes its
+FAKE_TARGET says how it misbehaves: missing, crash, garbage, error, hang, slow, paced (each poke); deaf: it closes its
 output and goes on; interrupt: a person presses Ctrl-C at its fifth run."""
 
 import json
@@ -42,7 +42,8 @@ def main() -> None:
         if asked["do"] == "hold" and not HOW:
             print(json.dumps(held(asked["asset"], asked["by_m"], given)), flush=True)
             continue
-        for poke in asked["pokes"] if HOW in ("", "slow", "interrupt") else ():
+        for poke in asked["pokes"] if HOW in ("", "slow", "paced", "interrupt") else ():
+            time.sleep(0.7 if HOW == "paced" else 0.0)
             area = poke["size_m"][0] * poke["size_m"][-1]
             young = given["young"][material_at(asked["asset"], poke["at_m"])]
             force = [SOFTER * young * area / 0.03 * depth for depth in poke["depth_m"]]

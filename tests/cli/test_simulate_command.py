@@ -408,11 +408,12 @@ def test_a_target_that_hangs_is_ended_by_the_time_limit(folder: Path, monkeypatc
     assert "--limit-s" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("pace", "limit_s"), [("slow", "4"), ("", "0.001")])
+@pytest.mark.parametrize(("pace", "limit_s"), [("slow", "4"), ("", "0.001"), ("paced", "1.5")])
 def test_the_time_limit_leaves_the_best_fit_so_far(
     pace: str, limit_s: str, folder: Path, monkeypatch: Patch, capsys: Capture
 ) -> None:
-    """A slow run takes .7 s. All pokes are pressed once more with what was fitted until then, which may be nothing."""
+    """A slow run takes .7 s, a paced one that for each poke: a target that goes on answering does not hang. All pokes
+    are pressed once more with what was fitted until then, which may be nothing."""
     monkeypatch.setenv("FAKE_TARGET", pace)
     assert main(command(folder, "--limit-s", limit_s, "--json", "-")) == 0
     told = json.loads(capsys.readouterr().out)
