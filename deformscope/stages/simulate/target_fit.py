@@ -24,8 +24,9 @@ STEPS = np.array([0.1, -0.04, 0.5])
 """Steps of log modulus or ratio, Poisson's ratio, log stiffness of contact for the derivatives: above the simulator's
 noise."""
 LONGEST = np.array([1.5, 0.1, 2.0])
-MOST_ROUNDS, SETTLED = 5, 0.02
-"""Rounds of derivatives and a step; share of the error by which a step must be better for another round."""
+MOST_ROUNDS, SETTLED, NOTHING = 5, 0.02, 0.01
+"""Rounds of derivatives and a step; share of the error by which a step must be better for another round; an error, in
+standard deviations, that is none."""
 DETERMINED = np.array([0.1, 0.05, 0.7])
 """Standard deviations up to which a parameter is determined."""
 
@@ -162,6 +163,8 @@ def fit_target(
 ) -> TargetFit:
     """The parameters with the least squares, from `start`. free: which of them are fitted; note: called with the runs
     done and the most. `press` may raise `Stopped`: then the best so far is the result."""
+    from scipy.optimize import lsq_linear
+
     open_ = np.flatnonzero(free)
     others = len(start.ratios)
     low, high = (
@@ -183,36 +186,38 @@ def fit_target(
 
     best = run(at)
     errors.append(best.rms)
-    converged, damping = False, 1e-3
+    converged, damping, jacobian = False, 1e-3, None
     try:
         for _ in range(MOST_ROUNDS):
             ahead = np.where((at + steps > high) | (at + steps < low), -steps, steps)
             slopes = [(run(at + ahead * (np.arange(len(at)) == one)).every - best.every) / ahead[one] for one in open_]
             jacobian = np.stack(slopes, axis=1)
-            # by what is left of forces and of surfaces, each at least as stated. A poke's force is one number, and its
-            # surface, whose points err together, another
-            noise = [max(1.0, float(np.sqrt(one @ one / max(len(pokes) - 1, 1)))) for one in (best.force, best.dent)]
-            sd = np.repeat(noise, [len(best.force), len(best.dent)])
-            known = jacobian[: len(sd)] / sd[:, None]
-            deviation[open_] = np.sqrt(np.diag(Noise(1.0, np.zeros((0, len(sd)))).covariance(known)))
-            square = jacobian.T @ jacobian
-            step = np.zeros(len(at))
-            lifted = square + np.diag(damping * np.diag(square) + 1e-9)
-            step[open_] = -np.linalg.solve(lifted, jacobian.T @ best.every)
-            trial = np.clip(at + np.clip(step, -longest, longest), low, high)
+            # the best step of those that are allowed: a longer one cut short has lost its balance of modulus and ratio
+            held = np.diag(np.sqrt(damping * np.sum(jacobian**2, axis=0) + 1e-9))
+            room = np.maximum(low - at, -longest)[open_], np.minimum(high - at, longest)[open_]
+            wanted = -np.append(best.every, np.zeros(len(held)))
+            trial = at.copy()
+            trial[open_] += lsq_linear(np.vstack([jacobian, held]), wanted, room, "bvls").x
             tried = run(trial)
             if tried.rms >= best.rms:
                 damping *= 30.0
                 if converged := damping > 1.0:
                     break
                 continue
-            converged = tried.rms > (1.0 - SETTLED) * best.rms
+            converged = tried.rms > (1.0 - SETTLED) * best.rms or tried.rms < NOTHING
             at, best, damping = trial, tried, 0.3 * damping
             errors.append(best.rms)
             if converged:
                 break
     except Stopped:
         pass
+    if jacobian is not None:
+        # by what is left of forces and of surfaces, each at least as stated. A poke's force is one number, and its
+        # surface, whose points err together, another
+        noise = [max(1.0, float(np.sqrt(one @ one / max(len(pokes) - 1, 1)))) for one in (best.force, best.dent)]
+        sd = np.repeat(noise, [len(best.force), len(best.dent)])
+        known = jacobian[: len(sd)] / sd[:, None]
+        deviation[open_] = np.sqrt(np.diag(Noise(1.0, np.zeros((0, len(sd)))).covariance(known)))
     return TargetFit(TargetParameters.of(at), deviation, free, tuple(errors), converged, best.answers)
 
 

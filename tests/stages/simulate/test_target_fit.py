@@ -108,6 +108,23 @@ def test_a_contact_that_hardly_gives_way_is_not_determined() -> None:
     assert fit.parameters.young == pytest.approx(hard.young, rel=0.03)
 
 
+class Balanced(Elements):
+    """The same, with a modulus that falls where Poisson's ratio rises: a step of one alone makes the forces worse."""
+
+    def __call__(self, parameters: TargetParameters, pokes: Sequence[MeasuredPoke]) -> list[TargetPoke]:
+        lost = np.exp(20.0 * ((TRUE.poisson - START.poisson) ** 2 - (parameters.poisson - START.poisson) ** 2))
+        return super().__call__(replace(parameters, young=parameters.young * float(lost)), pokes)
+
+
+def test_a_step_that_is_cut_short_keeps_the_balance_of_its_parameters() -> None:
+    """Poisson's ratio is .15 away, and a step is at most .1."""
+    start = replace(TRUE, poisson=START.poisson)
+    fit = fit_target(MESH, measured(), Balanced(), start, (True, True, True))
+    assert fit.converged
+    assert fit.parameters.young == pytest.approx(TRUE.young, rel=0.03)
+    assert fit.parameters.poisson == pytest.approx(TRUE.poisson, abs=0.02)
+
+
 def test_noise_widens_the_deviations() -> None:
     rng = np.random.default_rng(1)
     noisy = []
