@@ -52,10 +52,10 @@ if TYPE_CHECKING:
     from deformscope.runs.indentation import IndentResult as IndentResult
     from deformscope.runs.materials import MaterialResult as MaterialResult
     from deformscope.runs.prediction import PredictionResult as PredictionResult
+    from deformscope.runs.recording_report import RecordingReport as RecordingReport
     from deformscope.runs.recordings import ExportResult as ExportResult
     from deformscope.runs.recordings import OpenDataset as OpenDataset
     from deformscope.runs.recordings import OpenRecording as OpenRecording
-    from deformscope.runs.recordings import RecordingReport as RecordingReport
     from deformscope.runs.recordings import RecordResult as RecordResult
     from deformscope.runs.replay_result import ReplayResult as ReplayResult
     from deformscope.runs.result import FoundResult as FoundResult
@@ -79,7 +79,8 @@ _NAMES = {
     "runs.exploration_result": "ExplorationResult",
     "runs.indentation": "IndentResult",
     "runs.prediction": "PredictionResult",
-    "runs.recordings": "ExportResult OpenDataset OpenRecording RecordResult RecordingReport",
+    "runs.recordings": "ExportResult OpenDataset OpenRecording RecordResult",
+    "runs.recording_report": "RecordingReport",
     "runs.replay_result": "ReplayResult",
     "runs.simulation": "SimulationResult",
     "runs.squeeze_result": "SqueezeResult",

@@ -28,7 +28,8 @@ if TYPE_CHECKING:
     from deformscope.runs.indentation import CurveArrays, IndentResult
     from deformscope.runs.materials import MaterialResult
     from deformscope.runs.prediction import ModelSource, PredictionResult
-    from deformscope.runs.recordings import ExportResult, OpenDataset, OpenRecording, RecordingReport, RecordResult
+    from deformscope.runs.recording_report import RecordingReport
+    from deformscope.runs.recordings import ExportResult, OpenDataset, OpenRecording, RecordResult
     from deformscope.runs.replay_result import ReplayResult
     from deformscope.runs.result import FoundResult
     from deformscope.runs.simulation import SimulationResult
@@ -472,7 +473,7 @@ def import_recording(
 def report(path: Path | str) -> "RecordingReport":
     """The figures of a recording, from its content alone: `figures()`, `lacks`, and `page()` as HTML.
     Raises InputError where it is none."""
-    from deformscope.runs.recordings import report_recording
+    from deformscope.runs.recording_report import report_recording
 
     return report_recording(Path(path))
 

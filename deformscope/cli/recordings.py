@@ -111,7 +111,7 @@ def replay(config: options.ReplayConfig) -> int:
 
 def report(config: options.ReportConfig) -> None:
     """Draw the figures of a recording as one HTML page, and list missing stages."""
-    from deformscope.runs.recordings import report_recording
+    from deformscope.runs.recording_report import report_recording
 
     out = config.recording.with_suffix(".html") if config.out is None else config.out
     common.check_writable(out, "--out")

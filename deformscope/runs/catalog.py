@@ -212,7 +212,7 @@ def _draw(of: tuple[str, str]) -> None:
     import cv2
 
     from deformscope.images import decode_image
-    from deformscope.runs.recordings import report_recording
+    from deformscope.runs.recording_report import report_recording
 
     recording, target = of
     figures = report_recording(Path(recording)).figures()

@@ -116,7 +116,7 @@ def verify_recording(path: Path, *, stages: bool = False, privacy: bool = False)
 def _stages(path: Path, tables: list[Table], remarks: list[str]) -> "list[RecordedStage]":
     """The stages; their tables and what is to be remarked of them are added."""
     from deformscope.recording.stages import recorded_stages
-    from deformscope.runs.recordings import stage_tables
+    from deformscope.runs.recording_report import stage_tables
 
     stages = recorded_stages(path)
     tables += stage_tables(stages)

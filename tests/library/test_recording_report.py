@@ -15,7 +15,7 @@ from deformscope.images import PNG_SIGNATURE
 from deformscope.pictures import recorded
 from deformscope.pictures.recorded import Curves, curves_png
 from deformscope.recording.facts import run_rrd
-from deformscope.runs.recordings import RecordingReport, report_recording
+from deformscope.runs.recording_report import RecordingReport, report_recording
 from tests.cases import Capture, Patch
 
 ROOT = Path(__file__).resolve().parents[2]
