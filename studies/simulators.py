@@ -240,7 +240,7 @@ class SimulatorsConfig(StudyOptions):
     """Slabs, each a minute or more for each setting: the first so many, without --only."""
     only: Annotated[tuple[int, ...], arg(metavar="INT...")] = ()
     """Numbers of slabs, from 1 to 12, in place of --cases."""
-    vertices: Annotated[tuple[int, ...], arg(metavar="INT...")] = (1500,)
+    vertices: Annotated[tuple[int, ...], arg(metavar="INT...")] = (2400,)
     """About how many vertices the body has."""
     reach_m: flags.PositiveFlag = None
     """How far the body goes beyond the tip [m]; default: as `deformscope simulate` has it."""
@@ -311,7 +311,7 @@ def ends(ratios: Sequence[float] = (0.2, 0.3, 0.4, 0.45)) -> list[tuple[str, ...
         whole = Slab((SIDE, SIDE, THICKNESS), 1.0, poisson)
         points = whole.grid(0.005)
         aside = np.linalg.norm(np.maximum(np.abs(points[:, :2] - HERE) - HALF, 0.0), axis=1)
-        for beyond in (near, 1.5 * near):
+        for beyond in (0.6 * near, near):
             side = 2.0 * (HALF + beyond)
             shift = np.array([*HERE, 0.0]) - [0.5 * side, 0.5 * side, 0.0]
             seen = points[(aside <= NEAR_M) & (np.abs(points[:, :2] - HERE) <= 0.5 * side).all(axis=1)]

@@ -45,12 +45,12 @@ class SimulateConfig(RecordedOptions):
     """Pokes that are not fitted, but test the fit; default: a third of them."""
     poisson: Annotated[float | None, flags.one_word("NU", float), flags.unset, _ratio] = None
     """Poisson's ratio; default: fitted."""
-    vertices: Annotated[int, flags.least(48)] = 1500
+    vertices: Annotated[int, flags.least(48)] = 2400
     """About how many vertices the body has."""
     spacing_m: flags.PositiveFlag = None
     """Size of its cells [m], in place of --vertices."""
     reach_m: flags.PositiveFlag = None
-    """How far it goes beyond a tip [m]; default: 0.6 of its thickness and a quarter of the tip."""
+    """How far it goes beyond a tip [m]; default: its thickness and 0.45 of the tip."""
     density: Annotated[float, flags.Rule(lambda value: value > 0.0, "a {flag} above 0")] = 100.0
     """Density [kg/m^3]: a simulator's contact can depend on it."""
     timestep_s: Annotated[float | None, flags.one_word("SECONDS", float), flags.unset, _step] = None
@@ -65,7 +65,7 @@ class SimulateConfig(RecordedOptions):
 
     def check(self) -> None:
         either("--held-out", "--against with --poke", self.held_out, self.against and self.poke)
-        either("--spacing-m", "--vertices", self.spacing_m, self.vertices != 1500)
+        either("--spacing-m", "--vertices", self.spacing_m, self.vertices != 2400)
         if self.recorded and (self.against or self.poke):
             raise InputError("a model with --against or --poke", "a recording, which has its own pokes")
         if not self.recorded and not (self.against or self.poke):

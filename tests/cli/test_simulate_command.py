@@ -67,7 +67,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def command(folder: Path, *more: str, out: str = "body", target: str = "mujoco") -> list[str]:
     pokes = [str(folder / f"poke{number}.npz") for number in range(3)]
-    flags = ["--in", target, "--python", str(folder / "python"), "--vertices", "300", *QUIET]
+    flags = ["--in", target, "--python", str(folder / "python"), "--vertices", "400", *QUIET]
     return ["simulate", str(folder / "model.npz"), *flags, "--out", str(folder / out), "--against", *pokes, *more]
 
 
@@ -135,7 +135,7 @@ def test_the_meshes_for_others_hold_the_body_and_its_fields(folder: Path) -> Non
         out=folder / "python-body",
         target="mujoco",
         python=folder / "python",
-        vertices=200,
+        vertices=400,
         held_out=1,
         against=[folder / f"poke{number}.npz" for number in range(3)],
     )
@@ -160,7 +160,7 @@ def test_a_recording_has_its_own_pokes(folder: Path, capsys: Capture) -> None:
     """Each touch at three depths, and the surface around it in heights alone."""
     flags = ["--in", "mujoco", "--python", str(folder / "python"), "--tip", "sphere:0.02", *QUIET]
     args = ["simulate", str(SHIPPED), *flags, "--out", str(folder / "touched"), "--json", "-"]
-    assert main([*args, "--vertices", "300"]) == 2
+    assert main([*args, "--vertices", "400"]) == 2
     assert "0.7 of the tip's width" in capsys.readouterr().err
     assert main(args) == 0
     told = json.loads(capsys.readouterr().out)

@@ -120,11 +120,11 @@ def test_the_recorded_slab_has_its_regions_and_touches(tmp_path: Path, monkeypat
 @pytest.mark.slow
 @pytest.mark.skipif(not has("mujoco"), reason="needs mujoco, or DEFORMSCOPE_TARGETS_PYTHON with it")
 def test_an_unseen_depth_is_within_5_percent_after_the_fit() -> None:
-    found = try_slab(SlabCase(50e3, 0.3, 500, 0.005, WITH_TARGETS)).found
+    found = try_slab(SlabCase(50e3, 0.3, 2400, 0.005, WITH_TARGETS)).found
     pokes = found["pokes"]
     assert isinstance(pokes, list)
     assert abs(pokes[1]["force_error"]) < 0.05
-    assert pokes[1]["dent_error"] < 0.07  # .19 with a tip as wide as the measured one
+    assert pokes[1]["dent_error"] < 0.05  # .19 with a tip as wide as the measured one
     assert abs(pokes[1]["force_error_before"]) < 0.1  # .39
 
 

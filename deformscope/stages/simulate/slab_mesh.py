@@ -15,9 +15,9 @@ from deformscope.stages.msm.clusters import rank
 from deformscope.stages.poke.layers import MeasuredSurface
 from deformscope.stages.poke.poke_fit import SeenPoke
 
-REACH_SHARE, REACH_TIPS = 0.6, 0.25
-"""The slab goes this many thicknesses, and tip sizes, beyond the pokes: up to a Poisson's ratio of .4, vertices are
-better spent below the tip. At .45 this end moves the dent by 6.5 % of the depth (`studies simulators --ends`)."""
+REACH_SHARE, REACH_TIPS = 1.0, 0.45
+"""The slab goes this many thicknesses, and tip sizes, beyond the pokes. With .6 of that its end moves the dent by 6.5 %
+of the depth at a Poisson's ratio of .45 (`studies simulators --ends`)."""
 FEWEST_LAYERS, MOST_VERTICES = 3, 20_000
 FLAT = 2.0
 """Height of a cell over its width: the surface at a tip's edge asks for narrow cells, the depth does not."""

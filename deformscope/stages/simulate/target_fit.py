@@ -26,7 +26,7 @@ noise."""
 LONGEST = np.array([1.5, 0.1, 2.0])
 MOST_ROUNDS, SETTLED, NOTHING = 5, 0.02, 0.01
 """Rounds of derivatives and a step; share of the error by which a step must be better for another round; an error, in
-standard deviations, that is none."""
+standard deviations, that is negligible."""
 DETERMINED = np.array([0.1, 0.05, 0.7])
 """Standard deviations up to which a parameter is determined."""
 
