@@ -16,7 +16,7 @@ from deformscope.stages.poke.layers import MeasuredSurface
 from deformscope.stages.poke.poke_fit import SeenPoke
 
 REACH_SHARE, REACH_TIPS = 1.0, 0.45
-"""The slab goes this many thicknesses, and tip sizes, beyond the pokes. With .6 of that its end moves the dent by 6.5 %
+"""The slab goes this many thicknesses, and tip sizes, beyond the pokes. With .6 of that its end moves the dent by 6.3 %
 of the depth at a Poisson's ratio of .45 (`studies simulators --ends`)."""
 FEWEST_LAYERS, MOST_VERTICES = 3, 20_000
 FLAT = 2.0
