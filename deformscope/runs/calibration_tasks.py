@@ -384,10 +384,12 @@ def pushes_of(rig: Rig, made: PushedTip) -> MeasuredPushes:
     placement = Placement(np.array(rig.surface.T_arm_surface, np.float64), rig.tool)
     R_surface_tip = placement.T_surface_center(np.asarray(made.T_base_ee, np.float64))[:3, :3]
     held = np.concatenate([made.T_base_ee[None], made.tilted]) if len(made.tilted) else made.tilted
-    felt = np.concatenate([made.free.force_n.mean(axis=0)[None], made.tilted_n]) if len(made.tilted) else made.tilted_n
+    turned_n = made.tilted_n
+    if len(made.tilted):
+        turned_n = np.concatenate([made.free.force_n.mean(axis=0)[None], turned_n])
     R_base_tip = (held @ placement.T_ee_center)[:, :3, :3]
     axes = -made.axis @ R_surface_tip
-    return MeasuredPushes(made.force_n, axes, made.free, R_base_tip, felt, made.load_n, made.loaded_n)
+    return MeasuredPushes(made.force_n, axes, made.free, R_base_tip, turned_n, made.load_n, made.loaded_n)
 
 
 def solve_force(rig: Rig, made: MeasuredPushes | PushedTip) -> RigCalibrationResult:

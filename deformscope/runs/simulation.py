@@ -374,10 +374,10 @@ def _simulate_pair(config: SimulateConfig, seen: Sequence[Observation], known: S
     shown = ColoredBody("mujoco: vertices by their distance from the particles [mm]", mesh.vertices + went, apart)
     with open_recorder(config.output, settings_of(config), FINDINGS.variant("simulate")) as recorder:
         recorder.write(Step((Findings((Table(rows),), (), (shown,)),), frame=0))
-    told: Json = {"target": "mujoco", "version": target.version, "needed": {"young_pa": young, "poisson": poisson}}
-    told |= {"distance_m": off, "msm_distance_m": [one.aee_free for one in known], "vertices": len(mesh.vertices)}
+    values: Json = {"target": "mujoco", "version": target.version, "needed": {"young_pa": young, "poisson": poisson}}
+    values |= {"distance_m": off, "msm_distance_m": [one.aee_free for one in known], "vertices": len(mesh.vertices)}
     rows += recording_rows(recorder.summary())
-    return FoundResult(told, (Table(rows, caption=f"mujoco {target.version}"),))
+    return FoundResult(values, (Table(rows, caption=f"mujoco {target.version}"),))
 
 
 @dataclass(frozen=True, slots=True)

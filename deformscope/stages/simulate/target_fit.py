@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.stages.fit.least_squares import Noise
@@ -163,8 +164,6 @@ def fit_target(
 ) -> TargetFit:
     """The parameters with the least squares, from `start`. free: which of them are fitted; note: called with the runs
     done and the most. `press` may raise `Stopped`: then the best so far is the result."""
-    from scipy.optimize import lsq_linear
-
     open_ = np.flatnonzero(free)
     others = len(start.ratios)
     low, high = (

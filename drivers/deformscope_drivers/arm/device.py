@@ -28,10 +28,9 @@ Vector3 = tuple[float, float, float]
 JOINT_MARGIN_DEG, NEGLIGIBLE_DEG_S = 5.0, 0.01
 """Least distance of a joint from its range's end [deg]; slower than this [deg/s] it is at rest: 1e-4 deg in 10 ms."""
 DAMPED_BELOW = 0.03
-"""Smallest singular value of the Jacobian [m/rad; rad/rad] that is inverted in full. Least singular value below which
-motions are damped. Above it, joints at 20 deg/s (the driver's standard limit) move the arm's end by at least 0.03 *
-0.35 rad/s = 10 mm/s, the speed of a touch, in every direction. Below it, the weakest direction is damped. Below it the
-weakest direction is slower than any touch, and damped."""
+"""Smallest singular value of the Jacobian [m/rad; rad/rad] that is inverted in full. Above it, joints at 20 deg/s (the
+driver's standard limit) move the arm's end by at least 0.03 * 0.35 rad/s = 10 mm/s, the speed of a touch, in every
+direction. Below it the weakest direction is slower than any touch, and damped."""
 OFF_COURSE = 0.1
 """Share of a velocity that damping may lose or turn away: a straight line may lead through a singularity if it does not
 need the weak direction."""
